@@ -24,7 +24,7 @@ STEPS = 700
 # By name: what is left out or exchanged, by layout where that decides.
 MEASURES = {
     "defaults": {},
-    "no near-camera gradient scaling": {"unbounded": ("--even-from", "0")},
+    "no near-camera gradient scaling": {"unbounded": ("--near-scaling-distance", "0")},
     "no smoothing": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
     "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
     "space: contraction": {"forward": ("--space", "contraction")},

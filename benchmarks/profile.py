@@ -144,7 +144,7 @@ class Watch:
 
 
 def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
-    """A fit of one capacity that climbs nowhere, as `stylerf fit` sets it up."""
+    """A fit of one capacity that does not grow, as `stylerf fit` sets it up."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.photos import bank_of
     from stages.artifacts.scene import load_scene
@@ -160,7 +160,7 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     settings = _settings(FitConfig(budget="1000000"), scene, space)
     resolution, density, color = map(int, capacity.split("x"))
     settings = dataclasses.replace(
-        settings, ladder=(CapacityLevel(resolution, density, color),), shares=(), reductions=()
+        settings, levels=(CapacityLevel(resolution, density, color),), level_ends=(), prunings=()
     )
     bank = bank_of(scene, scene.splits["train"], scratch, Context(progress=Silent(), threads=threads))
     return Fitter(space, bank, 0, settings, 0, threads)

@@ -18,7 +18,6 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from benchmarks.conditions import here_and_now
@@ -57,36 +56,38 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.artifacts.photos import level_of, photo_over
     from stages.artifacts.scene import load_scene
     from stages.artifacts.style_images import read_painting
-    from stages.configs.stylize import StylizeConfig
-    from stages.stylization.settings import new_color, painting_taps, settings_of
+    from stages.configs.stylize import CONFIGS
+    from stages.stylization.settings import image_layers, new_color, settings_of
     from stages.weights.resolve import resolve
     from stylerf.fields.deformation import Deformation
     from stylerf.kernels.cpu.compiling import set_threads
     from stylerf.style.feature_extractor import FeatureExtractor
-    from stylerf.training.stylize.arf import ArfTrainer
+    from stylerf.training.stylize.arf import Arf
+    from stylerf.training.stylize.scene import StyledScene, StyleProblem
+    from stylerf.training.stylize.trainer import StylizationTrainer
 
     threads, store = set_threads(os.cpu_count() or 1), WorkFolder(Path(work))
     scene = load_scene(store.artifacts("scene")[0])
     field, background = load_field(next(f for f in store.artifacts("field") if f.manifest.stage == "nerf_fit"))
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
-    config = StylizeConfig(style=style, method=method, budget="100000", **options)
+    config = CONFIGS[method](style=style, budget="100000", **options)
     level, found = level_of(background), resolve(None)
     views = scene.splits["train"]
-    trunk = FeatureExtractor(found.state, painting_taps(config, found.state), found.kind)
+    extractor = FeatureExtractor(found.state, image_layers(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
-    made = ArfTrainer(
+    problem = StyleProblem(
         field,
         [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],
         level,
-        read_painting(Path(style)),
-        trunk,
         settings_of(config, long_side, field.opaque_background),
         0,
         threads,
-        partial(new_color, config),
+        read_painting(Path(style)),
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
+    styled = StyledScene(problem, lambda generator, made: new_color(config, generator, made.pixel_cells()))
+    made = StylizationTrainer(Arf(styled, extractor))
     held_out = [(scene.cameras[i], photo_over(scene, i, level)) for i in scene.splits["test"]]
     return made, held_out, level
 
@@ -99,15 +100,17 @@ def distances(made, held_out, level) -> dict[str, float]:
     from stylerf.rendering.view import render_view
     from stylerf.style.style_objective import StyleObjective
 
-    s, size = made.settings, (made.cameras[0].height, made.cameras[0].width)
-    exact = StyleObjective(made.trunk, made.painting, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
+    styled, s = made.scene, made.settings
+    size, style_image = (styled.cameras[0].height, styled.cameras[0].width), styled.problem.style_image
+    extractor = made.method.loss.extractor
+    exact = StyleObjective(extractor, style_image, size, s.weights, s.feature_scale, 100000, 0, s.style_scale)
     sums = {"style": 0.0, "content": 0.0}
     for camera, photo in held_out:
-        seen = render_view(made.field, camera, threads=made.chunks)
+        seen = render_view(styled.field, camera, threads=styled.problem.threads)
         rgb = np.clip(seen.rgb + (1 - seen.alpha[..., None]) * np.float32(level), 0, 1)
         picture, wanted = (torch.from_numpy(np.ascontiguousarray(i)).permute(2, 0, 1) for i in (rgb, photo))
         with torch.no_grad():
-            alpha = None if made.opaque_background else torch.from_numpy(seen.alpha)
+            alpha = None if styled.field.opaque_background else torch.from_numpy(seen.alpha)
             parts = exact(picture, exact.content_of(wanted), alpha)[1]
         for name in sums:
             sums[name] += parts[name] / len(held_out)
@@ -151,24 +154,26 @@ def watched(made) -> dict:
 
         return call
 
-    made._picture, made.geometry.learn = timed(made._picture), timed(made.geometry.learn)
-    made.geometry.paint = timed(made.geometry.paint)  # deferred walks its rays again
+    step, geometry = made.method.view_step, made.scene.geometry
+    step.image, geometry.learn = timed(step.image), timed(geometry.learn)
+    geometry.paint = timed(geometry.paint)  # deferred marches its rays again
     return spent
 
 
 def ready(work: str, style: str, method: str, case: str) -> tuple:
     """(stylizer at its first step, held-out views, background, what it costs)."""
     made, held_out, level = stylizer_for(work, style, method, case)
-    while made.progress < 1:
-        made.refit_step()
+    scene = made.scene
+    while scene.budget.progress < 1:
+        scene.refit_step()
         made.state.step += 1
-    made._next_phase()
-    _ = made.objective  # the painting's features are computed here, not within the first step
+    made.next_phase()
+    _ = made.method.loss.objective  # the style image's features are computed here, not within the first step
     spent = watched(made)
-    for view in range(len(made.cameras)):  # what later visits of a view need is made at the first: not part of a step
-        made.geometry.alpha(view)
+    for view in range(len(scene.cameras)):  # what later visits of a view need is made at the first: not part of a step
+        scene.geometry.alpha(view)
         if made.settings.strategy not in ("full", "deferred"):
-            made._remembered[view] = made.paint_view(view)
+            made.method.view_step.last_renders[view] = scene.render(view)
     return made, held_out, level, spent
 
 
@@ -177,12 +182,12 @@ def field_memory(work: str, style: str, method: str, case: str) -> float:
     import numpy as np
 
     made, _, _, spent = ready(work, style, method, case)
-    before, camera = resident_mb(), made.cameras[0]
+    before, camera = resident_mb(), made.scene.cameras[0]
     spent["peak"] = 0.0
-    made._gradient = lambda view, picture: (
+    made.method.view_step.gradient = lambda view, picture: (
         np.zeros((camera.height, camera.width, 3), np.float32), {"style": 0.0})  # fmt: skip
-    made.adam.step = lambda rate: None
-    made.style_step()
+    made.scene.adam.step = lambda rate: None
+    made.method.step()
     return round(max(spent["peak"] - before, 0.0), 1)
 
 
@@ -190,12 +195,12 @@ def measure(work: str, style: str, method: str, case: str, steps: int, seconds: 
     """One case, in this process. seconds 0: as long as `steps` steps take."""
     made, held_out, level, spent = ready(work, style, method, case)
     row: dict = {"case": case}
-    made.style_step()  # the first runs slower
+    made.method.step()  # the first runs slower
     made.state.step, spent["seconds"], used = 1, 0.0, 0.0
     marks = {"at_equal_steps": Mark()} | ({"at_equal_time": Mark()} if seconds else {})
     while any(len(mark.looks) < LOOKS for mark in marks.values()):
         begun = time.perf_counter()
-        made.style_step()
+        made.method.step()
         used += time.perf_counter() - begun
         made.state.step += 1
         done = made.state.step - 1

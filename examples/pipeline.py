@@ -10,7 +10,7 @@ import sys
 
 from stages.configs.fit import FitConfig
 from stages.configs.render import RenderConfig
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import ArfConfig
 from stages.pipeline.pipeline import Pipeline
 from stylerf_cli.progress import Bars
 
@@ -20,7 +20,7 @@ def main(photos: str, style_image: str, work: str, fit_budget: str = "5m", style
     pipeline = Pipeline(work, seed=0, progress=Bars(sys.stderr))
     pipeline.import_photos(photos)
     field = pipeline.fit(FitConfig(budget=fit_budget))
-    stylized = pipeline.stylize(StylizeConfig(style=style_image, budget=style_budget), of=field)
+    stylized = pipeline.stylize(ArfConfig(style=style_image, budget=style_budget), of=field)
     pipeline.render(RenderConfig(path="orbit", count=48, video=True), of=stylized)
     report = pipeline.evaluate(of=stylized)
     return str(report.file("report.html"))

@@ -28,8 +28,16 @@ Migration = Callable[[Json, Path], Json]
 # Schema 3 renamed keys: American spelling, and the field's terms in place of ours.
 RENAMED_PARTS = {"colour": "color", "centre": "center", "stylised": "stylized", "learnt": "learned"}
 RENAMED_KEYS = {
+    "clip": "gradient_clip",
+    "even_from": "near_scaling_distance",
     "figures": "metrics",
+    "hull": "visual_hull",
+    "least": "min_opacity",
+    "least_spread": "min_spread",
+    "most_colors": "max_colors",
+    "most_gain": "max_gain",
     "painting": "style_image",
+    "taps": "layers",
 }
 RENAMED_VALUES = {
     "stage": {"recolour": "recolor", "fault_scene": "corrupt_scene"},

@@ -18,17 +18,18 @@ from stages.run.training_loop import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 
 SPEC = Spec(stage="deform_init", verb="deform", revision=3, writes="field")
 
 
 def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the field with its displacement grid, and the network behind it; returns the figures."""
+    """Write the field with its displacement grid, and the network behind it; return the figures."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     if field.displacement is not None:
-        raise BadInput(f"{inputs['field'].path} is deformed already; give the field it was made from")
+        raise BadInput(f"{inputs['field'].path} is already deformed; give the field it was made from")
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
     generator = np.random.default_rng([context.seed, 8])
@@ -49,17 +50,18 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
         try:
-            fitter = DeformationFitter(field, deformation, bank, settings, context.seed, threads, len(aside), device)
+            more = context.seed, threads, len(aside), deform_backend(device)
+            fitter = DeformationFitter(field, deformation, bank, settings, *more)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
         if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
             with sound(partial.checkpoint, "a sound checkpoint"):
                 fitter.resume(*saved)
-            context.progress.say(f"going on from step {fitter.state.step}")
+            context.progress.say(f"resuming at step {fitter.state.step}")
         _train(fitter, config, partial, context)
     if fitter.dropped:
         gained = fitter.state.best - fitter.state.before
-        context.progress.say(f"the deformation is dropped: views kept aside gain {gained:.2f} dB, not {config.gate:g}")
+        context.progress.say(f"the deformation is dropped: held-out views gain {gained:.2f} dB, not {config.gate:g}")
     save_field(partial.path, field, background)
     save_deformation(partial.path, deformation)
     state = fitter.state

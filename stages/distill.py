@@ -1,4 +1,4 @@
-"""Distill: the training photos with an edit painted into them (LAENeRF, 3.5)."""
+"""Distill: write an edit into the training photos (LAENeRF, 3.5)."""
 
 import shutil
 from contextlib import nullcontext
@@ -19,17 +19,17 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import palette_module
 
 SPEC = Spec(stage="distill", verb="distill", revision=3, writes="scene")
 
 
 def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes a scene like the one before, but for the photos that show the edit; returns the figures."""
-    chunks = set_threads(context.threads)
-    scene = load_pictures(inputs["scene"], inputs["field"], chunks)
+    """Write a copy of the scene whose photos show the edit; return the figures."""
+    threads = set_threads(context.threads)
+    scene = load_pictures(inputs["scene"], inputs["field"], threads)
     views, _ = load_edit_views(inputs["edit-dataset"])
     edit = load_edit(inputs["edit"])
     made_from = {ref.digest for ref in inputs["edit-dataset"].manifest.inputs if ref.role == "scene"}
@@ -40,7 +40,7 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
         if camera is None or (view.width, view.height) != (camera.width, camera.height):
             raise ArtifactDamaged(
                 f"{inputs['edit-dataset'].path}: its view {view.view}, {view.width}x{view.height}, is none of the "
-                f"scene's; make it anew"
+                f"scene's; make it again"
             )
     for record in inputs["scene"].manifest.files:
         if record.path != EDIT_TARGETS:
@@ -49,11 +49,11 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
             shutil.copyfile(inputs["scene"].file(record.path), target)
     targets: dict[str, np.ndarray] = {}
     device = gpu_of(context)
-    module = _on_device(edit.module, device) if device else edit.module
+    module = palette_module(device, edit.module)
     context.progress.start("distill", len(views), "view")
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, view in enumerate(views):
-            image, own = _edited(scene, view, module, edit.changes, config, chunks)
+            image, own = _edited(scene, view, module, edit.changes, config, threads)
             write_png(partial.path / scene.views[view.view].image, image)
             targets |= {f"{view.view}.pixels": view.pixels[own], f"{view.view}.depth": view.through[own]}
             context.progress.update(done + 1)
@@ -65,41 +65,35 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
     return {"views": len(views), "pixels": pixels, **gpu_figures(device)}
 
 
-def _on_device(module: PaletteModule, device: str):
-    from stylerf.editing.palette_module_gpu import GpuPaletteModule
-
-    return GpuPaletteModule(module, device)
-
-
 def _edited(
-    scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, chunks: int
+    scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
 
-    LAENeRF paints such pixels whole, by the alpha of the field: what shows beside the region would learn its colors.
-    Only rims are blended: a pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
+    LAENeRF edits whole pixels, by the alpha of the field: what shows beside the region would learn its colors. Here
+    rims are blended; one pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
     """
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
-    found = module.colors(view.x, view.directions, changes, fading, chunks)
-    chosen = np.flatnonzero(view.weight > config.least)
+    found = module.colors(view.x, view.directions, changes, fading, threads)
+    chosen = np.flatnonzero(view.weight > config.min_opacity)
     pixels = view.pixels[chosen]
     out = photo.reshape(-1, photo.shape[2]).copy()
-    # What of a pixel is not the region's stays the photo's; where that has an alpha, what shines through is in that.
+    # What of a pixel is not the region's stays the photo's. If the photo has alpha, transparency is in that.
     share = view.inside[chosen] / (view.weight[chosen] if photo.shape[2] == 4 else 1)
     out[pixels, :3] += share[:, None] * (found[chosen] - out[pixels, :3])
     return to_uint8(out.reshape(photo.shape)), chosen
 
 
 def _write_others(scene: SceneData, shown: set[int], folder: Path) -> None:
-    """Photos in which the edit is not seen, as the others were seen: at one exposure, in the field's own colors."""
+    """Write the photos that do not show the edit, if they are not used as stored (one exposure, own colors)."""
     for index, view in enumerate(scene.views):
         if not scene.as_stored(index) and index not in shown:
             write_png(folder / view.image, to_uint8(scene.images(index)))
 
 
 def _keep_earlier(scene: SceneData, targets: dict[str, np.ndarray]) -> None:
-    """Pixels of earlier edits of the same photos, apart: a whole field that learns this one must see those too."""
+    """Add the pixels of earlier edits of the same photos: training a whole field must include those."""
     before = edit_targets(scene)
     for index in sorted({index for index, _ in before}):
         parts = [before[index, part] for part in ("", EARLIER) if (index, part) in before]

@@ -1,6 +1,5 @@
-"""Extract: what the training views show of a region, for its edit to learn from (LAENeRF, 3.3)."""
+"""Extract: what the training views show of a region, to train its edit on (LAENeRF, 3.3)."""
 
-from collections.abc import Callable
 from contextlib import nullcontext
 
 import numpy as np
@@ -23,21 +22,22 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import ray_ends
 
 SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 
 def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the views' pixels, and what they are as EXR; returns the figures."""
-    chunks = set_threads(context.threads)
-    scene = load_pictures(inputs["scene"], inputs["field"], chunks)
+    """Write the views' pixels, also as EXR; return the figures."""
+    threads = set_threads(context.threads)
+    scene = load_pictures(inputs["scene"], inputs["field"], threads)
     field, _ = load_field(inputs["field"])
     region, space = load_region(inputs["region"])
     if space != field.space:
         raise BadInput(
-            f"region {inputs['region'].name} divides the space of another field than {inputs['field'].name}; "
-            f"select it anew with `stylerf select --of {inputs['field'].name}`"
+            f"region {inputs['region'].name} was selected on a different field than {inputs['field'].name}; "
+            f"select it again with `stylerf select --of {inputs['field'].name}`"
         )
     size = _size(region, space)
     reach = FADING * size if config.transition < 0 else config.transition
@@ -45,12 +45,12 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
     train = scene.splits["train"]
     views, hidden = [], []
     device = gpu_of(context, field)
-    ends_of = _on_device(field, device) if device else None
+    ends_of = ray_ends(device, field)
     context.progress.start("extract", len(train), "view")
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, index in enumerate(train):
             camera = scene.cameras[index]
-            seen = seen_of_view(field, camera, scene.images(index), region, settings, index, chunks, ends_of)
+            seen = seen_of_view(field, camera, scene.images(index), region, settings, index, threads, ends_of)
             if seen.edit is None:
                 hidden.append(camera.name)
             else:
@@ -70,14 +70,8 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
     return figures | gpu_figures(device)
 
 
-def _on_device(field: RadianceField, device: str) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]]:
-    from stylerf.editing.extraction_gpu import GpuRayEnds
-
-    return GpuRayEnds(field, device)
-
-
 def _size(region: Region, space: SpaceWarp) -> float:
-    """Diagonal of the box of the region's cells, scene units; cells at the very border of the cube left out."""
+    """Diagonal of the region's bounding box, scene units, without cells at the border of the cube."""
     s = region.cells
     where = np.argwhere(region.edit)
     inner = where[((where > 0) & (where < s - 1)).all(1)]
@@ -88,7 +82,7 @@ def _size(region: Region, space: SpaceWarp) -> float:
 
 
 def _exr(seen: Seen, camera: Camera, field: RadianceField) -> ExrView:
-    """The photo where it shows the region, by the field's alpha there; masks: region, transition, edges."""
+    """The photo within the region, by the field's alpha; masks: region, transition, edges."""
     edit = seen.edit
     full = {name: np.zeros(seen.alpha.size, np.float32) for name in ("alpha", "transition", "below", "beside")}
     rgb = np.zeros((seen.alpha.size, 3), np.float32)

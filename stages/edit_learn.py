@@ -1,4 +1,4 @@
-"""Stylize, a region: a palette and where its colors go, by the photos and a painting (LAENeRF, 3.4)."""
+"""Learn the look of a region: a palette and how it mixes, from photos and a style image (LAENeRF, 3.4)."""
 
 import time
 from contextlib import nullcontext
@@ -31,57 +31,59 @@ from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
 SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
 
 
 def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the palette module, its palette and a preview; returns the figures."""
+    """Write the palette module, its palette and a preview; return the figures."""
     views, _ = load_edit_views(inputs["edit-dataset"])
     shown = max(views, key=len)
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
-    painting, trunk, features, device = None, None, None, gpu_of(context)
+    style_image, extractor, features, device = None, None, None, gpu_of(context)
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        painting, trunk = (
+        style_image, extractor = (
             cropped(config),
-            FeatureExtractor(resolved.state, config.taps, resolved.kind).to(device or "cpu"),
+            FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu"),
         )
         features = resolved.manifest()
         if config.match and not config.preserve_color:
-            views = in_colors_of_painting(views, painting, context.seed)
+            views = in_style_colors(views, style_image, context.seed)
     try:
         settings = settings_of(config)
         module = start_module(views, settings, context.seed)
-        trainer = EditTrainer(views, module, settings, painting, trunk, context.seed, threads, device)
+        more = context.seed, threads, edit_engine(device)
+        trainer = EditTrainer(views, module, settings, style_image, extractor, *more)
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             trainer.resume(*saved)
-        context.progress.say(f"going on from step {trainer.state.step} of phase {trainer.state.phase}")
+        context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)
     figures = trainer.figures()
-    told = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
-    save_edit(partial.path, Edit(trainer.module, PaletteEdits()), figures["shares"], told)
+    totals = {"sparsity": figures["sparsity"], "palette_variation": figures["palette_variation"]}
+    save_edit(partial.path, Edit(trainer.module, PaletteEdits()), figures["shares"], totals)
     write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
-    if painting is not None:
-        write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
-    told = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
-    return {**figures, **told, **gpu_figures(device)}
+    if style_image is not None:
+        write_png(partial.path / "style.png", to_uint8(style_image.permute(1, 2, 0).numpy()))
+    more = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
+    return {**figures, **more, **gpu_figures(device)}
 
 
 def settings_of(config: EditConfig) -> EditSettings:
-    """What the config asks for, in the trainer's terms."""
+    """The trainer's settings."""
     pruned = dict.fromkeys(("pruned_steps", "pruned_style_steps"), config.pruned_steps)
     return EditSettings(
         colors=config.colors,
         palette=config.start,
-        most_colors=config.most_colors,
+        max_colors=config.max_colors,
         palette_steps=config.palette_steps,
         style_steps=config.style_steps,
         seconds=budget_of(config.budget)[0],
@@ -99,14 +101,14 @@ def settings_of(config: EditConfig) -> EditSettings:
     )
 
 
-def in_colors_of_painting(views: list[EditView], painting: torch.Tensor, seed: int) -> list[EditView]:
-    """The views with the painting's mean color and covariance where the edit does not fade into its surroundings.
+def in_style_colors(views: list[EditView], style_image: torch.Tensor, seed: int) -> list[EditView]:
+    """The views with the style image's mean color and covariance, except where the edit fades out.
 
-    A palette that begins with the region's colors moves to the painting's only as far as its Gram matrices pull it,
-    which are nearly blind to hue: a yellow shovel came out in yellow strokes.
+    A palette that starts with the region's colors moves only as far as the Gram matrices pull it, which are nearly
+    blind to hue: a yellow shovel came out in yellow strokes.
     """
     colors = sampled_colors(views, np.random.default_rng([seed, 6]))
-    matching = match_colors(torch.from_numpy(colors), painting.flatten(1).T)
+    matching = match_colors(torch.from_numpy(colors), style_image.flatten(1).T)
     matched = []
     for view in views:
         new = matching(torch.from_numpy(view.target)).clamp(0, 1).numpy().astype(np.float32)
@@ -116,17 +118,17 @@ def in_colors_of_painting(views: list[EditView], painting: torch.Tensor, seed: i
 
 
 def cropped(config: EditConfig) -> torch.Tensor:
-    """The painting, or the part of it that is asked for, [3, h, w] sRGB 0..1; transparency counts as white."""
-    painting = read_painting(Path(config.style))
+    """The style image or its crop, [3, h, w] sRGB 0..1; transparency counts as white."""
+    style_image = read_painting(Path(config.style))
     try:
-        return crop_of(painting, *config.crop) if config.crop else painting
+        return crop_of(style_image, *config.crop) if config.crop else style_image
     except InvalidValue as error:
         raise BadInput(f"{config.style}: {error}") from error
 
 
-def drawn(trainer: EditTrainer, view: EditView, chunks: int) -> np.ndarray:
-    """[h, 2 w, 3] uint8: the region in one view as the photo has it, and as the module paints it now; gray around."""
-    found = trainer.asked.colors(view.x, view.directions, chunks=chunks)
+def drawn(trainer: EditTrainer, view: EditView, threads: int) -> np.ndarray:
+    """The region in one view, in the photo and by the present module, on gray, [h, 2 w, 3] uint8."""
+    found = trainer.evaluator.colors(view.x, view.directions, chunks=threads)
     pictures = []
     for colors in (view.target, found):
         picture = np.full((view.height * view.width, 3), 0.5, np.float32)
@@ -148,7 +150,7 @@ def _train(
         context.progress.update(round(100 * now.whole_progress, 1), note)
         if config.preview_every and time.monotonic() - drawn_at > config.preview_every:
             target = partial.path.parent / "preview-now.png"
-            write_png(target, drawn(now, shown, now.chunks))
+            write_png(target, drawn(now, shown, now.threads))
             context.progress.say(f"preview: {target}")
             drawn_at = time.monotonic()
 

@@ -1,4 +1,4 @@
-"""Change a learned palette: other colors, more or less of them, nothing trained (LAENeRF, 3.5)."""
+"""Change the colors and weights of a learned palette, without training (LAENeRF, 3.5)."""
 
 import shutil
 
@@ -25,7 +25,7 @@ SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")
 
 
 def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the same module with the changes; returns the figures."""
+    """Write the same module with the changes; return the figures."""
     learned = inputs["edit"]
     edit = load_edit(learned)
     columns, shares = columns_and_shares(learned, len(edit.module.palette))
@@ -34,8 +34,8 @@ def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArti
         changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{learned.path}: {error}; see {learned.path / PALETTE}") from error
-    told = told_after(learned, changes)
-    save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, told)
+    totals = told_after(learned, changes)
+    save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, totals)
     if learned.has("style.png"):
         shutil.copyfile(learned.file("style.png"), partial.path / "style.png")
-    return {"learned": learned.name, "changes": changes.describe(), **told}
+    return {"learned": learned.name, "changes": changes.describe(), **totals}

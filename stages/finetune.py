@@ -14,21 +14,22 @@ from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
 from stages.artifacts.validity import sound
 from stages.configs.finetune import FinetuneConfig
-from stages.configs.fit import EVEN_FROM, SMOOTHNESS, budget_of
+from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
-from stylerf.fields.packed_surface import PackedSurface, pixel_cells, surface_of
+from stylerf.fields.packed_surface import PackedSurface, pixel_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.training.backends import finetune_engine, style_backend
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
-SEEN = 2e-2  # part of a ray's largest weight from which a sample tells what a pixel sees
+SEEN = 2e-2  # fraction of a ray's largest weight from which a sample counts as seen
 MARGIN = 2  # cells: samples in front of a surface, which is where its color is looked for too
 
 
@@ -61,17 +62,17 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         depth_weight=config.depth_weight,
         background=level_of(background),
         smoothness=SMOOTHNESS[scene.layout],
-        even_from=EVEN_FROM[scene.layout],
+        near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
-    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, device)
+    tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, finetune_engine(device))
     saved = context.processes.checkpoint(
         load_checkpoint(partial.checkpoint, context.progress.say) if context.processes.first else None
     )
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             tuner.resume(*saved)
-        context.progress.say(f"going on from step {tuner.state.step}")
+        context.progress.say(f"resuming at step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
     if context.processes.first:
@@ -88,24 +89,20 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
 
 
 def _patch(
-    inputs: dict[str, Artifact], field: RadianceField, cameras: list[Camera], chunks: int, device: str | None
+    inputs: dict[str, Artifact], field: RadianceField, cameras: list[Camera], threads: int, device: str | None
 ) -> RegionColor:
     """Colors for the region and MARGIN cells around it, over the field's. cameras: that see it."""
     otherwise = ", or teach the whole field with --colors field"
     region = region_of_field(inputs["region"], inputs["field"], field, otherwise)
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
-    seen = pixel_cells(_surfaces(field, some, chunks, device))
+    seen = pixel_cells(_surfaces(field, some, threads, device))
     return RegionColor.create(field.color, binary_dilation(region.edit, iterations=MARGIN), seen)
 
 
-def _surfaces(field: RadianceField, cameras: list[Camera], chunks: int, device: str | None) -> Iterator[PackedSurface]:
-    """Of each view, marched on the device."""
-    if device is None:
-        return (surface_of(field, camera, SEEN, chunks) for camera in cameras)
-    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry
-
-    shapes = GpuFixedGeometry(field, cameras, SEEN, device)
-    return (shapes.surface(view) for view in range(len(cameras)))
+def _surfaces(field: RadianceField, cameras: list[Camera], threads: int, device: str | None) -> Iterator[PackedSurface]:
+    """Each view's surface."""
+    geometry = style_backend(device).fixed_geometry(field, cameras, SEEN, threads, 0)
+    return (geometry.surface(view) for view in range(len(cameras)))
 
 
 def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPixels:

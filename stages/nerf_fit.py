@@ -1,6 +1,5 @@
 """Fit: a radiance field from a scene's training views."""
 
-import functools
 from contextlib import nullcontext
 
 import numpy as np
@@ -12,7 +11,7 @@ from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
 from stages.artifacts.scene_space import space_of
 from stages.artifacts.validity import sound
-from stages.configs.fit import EVEN_FROM, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
+from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
@@ -22,8 +21,8 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds, capacity_at, first_parts, ladder_of
-from stylerf.training.fit.engine import CpuEngine
+from stylerf.training.backends import fit_engine
+from stylerf.training.fit.capacity_levels import LEVELS, CapacityLevel, Kinds, capacity_at, first_parts, levels_for
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
 
@@ -32,9 +31,9 @@ GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for l
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
 FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
-FIVE_SHARES = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.shares of a ladder of five rungs
-# In a contraction, steps after which rungs end at the latest (FitSettings).
-LONGEST = (350, 850, 1350, 1900, 2600)
+FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of five levels
+# In a contraction, steps after which levels end at the latest (FitSettings).
+LEVEL_MAX_STEPS = (350, 850, 1350, 1900, 2600)
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -58,21 +57,23 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     settings = _settings(config, scene, space, device)
     if context.memory and device is None:
         _tell_memory(settings, space, context)
-    engine = _engine(device, settings, config.clip)
+    engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
     saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
     if saved is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
             fitter.resume(*saved)
-        context.progress.say(f"going on from step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
+        context.progress.say(f"resuming at step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
-    if settings.always_climb and fitter.state.rung < len(settings.ladder) - 1:
-        why = "a fall led back to a coarser one" if fitter.state.fixed else f"{fitter.state.step} steps are too few"
+    if settings.force_growth and fitter.state.level < len(settings.levels) - 1:
+        why = f"{fitter.state.step} steps are too few"
+        if fitter.state.growth_ended:
+            why = "a fall in quality led back to a coarser level"
         fitter.state.decisions.append(f"--capacity {config.capacity} was not reached: {why}")
         context.progress.say(fitter.state.decisions[-1])
-    context.progress.say(fitter.climb.told(fitter.field.parameters))
+    context.progress.say(fitter.search.summary(fitter.field.parameters))
     if processes.first:
         background = "none" if fitter.field.opaque_background else _shown(settings.background)
         save_field(partial.path, fitter.field, background)
@@ -83,14 +84,11 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
 
 
 def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
-    """Says which options for objects were set and change nothing here, as _settings and the fit take them.
-
-    cut_out: some photo has alpha.
-    """
+    """Note options for objects that were set but have no effect here. cut_out: some photo has alpha."""
     works = {
         "opacity_weight": layout == "object",
         "coverage_weight": layout == "object" and cut_out,
-        "hull": space == "box" and cut_out,
+        "visual_hull": space == "box" and cut_out,
     }
     idle = [name for name, used in works.items() if not used and getattr(config, name) != getattr(FitConfig, name)]
     if idle:
@@ -101,35 +99,26 @@ def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, contex
         )
 
 
-def _engine(device: str | None, settings: FitSettings, clip: float):
-    """What the fit computes with."""
-    if device is None:
-        return functools.partial(CpuEngine, clip=clip)
-    from stylerf.training.fit.engine_gpu import GpuEngine
-
-    return functools.partial(GpuEngine, device=device, samples=settings.samples, clip=clip)
-
-
 def _tell_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
-    kinds, finest = settings.kinds, settings.ladder[-1].resolution
-    # A lean last rung may have fewer numbers than the one before.
-    rungs = settings.ladder[:1] if "voxel" in (kinds.density, kinds.color) else settings.ladder[-2:]
+    kinds, finest = settings.kinds, settings.levels[-1].resolution
+    # The last level may have fewer parameters than the one before.
+    levels = settings.levels[:1] if "voxel" in (kinds.density, kinds.color) else settings.levels[-2:]
 
-    def parameters(rung: CapacityLevel) -> int:
+    def parameters(level: CapacityLevel) -> int:
         found = 0
-        for part, of in enumerate((rung, rung.color)):
-            capacity = capacity_at(of, finest, kinds.levels, space, degree=settings.degree)
+        for part, of in enumerate((level, level.color)):
+            capacity = capacity_at(of, finest, kinds.hash_levels, space, degree=settings.degree)
             found += len(first_parts(kinds, capacity, np.random.default_rng(0))[part].values)
         return found
 
-    most, rung = max(((parameters(rung), rung) for rung in rungs), key=lambda found: found[0])
+    most, level = max(((parameters(level), level) for level in levels), key=lambda found: found[0])
     # A gradient buffer a thread: PARAMETER_BYTES has those of two.
     needed = FIT_BYTES + (PARAMETER_BYTES + 4 * max(0, context.threads - 2)) * most
     if context.memory < needed:
         context.progress.say(
-            f"--memory {in_words(context.memory)} is less than a field of {rung.resolution}^3 takes to fit, about "
+            f"--memory {in_words(context.memory)} is less than a field of {level.resolution}^3 takes to fit, about "
             f"{in_words(needed)} beside its photos: it is exceeded where the field grows so large"
         )
 
@@ -162,6 +151,7 @@ def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str
         background = "white" if config.background == "auto" else config.background
     kinds = Kinds(*kinds_of(config.field), config.head)
     smoothness = SMOOTHNESS[scene.layout] if config.smoothness < 0 else config.smoothness
+    near = config.near_scaling_distance
     return FitSettings(
         seconds=seconds or 1.0,
         steps=steps,
@@ -169,43 +159,43 @@ def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str
         samples=config.samples or (GPU_SAMPLES if device else _cpu_samples(seconds)),
         rate=config.rate or RATE[scene.layout],
         smoothness=(smoothness, smoothness),
-        even_from=EVEN_FROM[scene.layout] if config.even_from < 0 else config.even_from,
+        near_scaling_distance=NEAR_SCALING[scene.layout] if near < 0 else near,
         degree=config.degree,
         min_gain=config.min_gain,
         background=background,
-        always_climb=fixed is not None,
-        hull=config.hull,
-        # A capture ends in an opaque backdrop: there every ray is opaque as it is.
+        force_growth=fixed is not None,
+        visual_hull=config.visual_hull,
+        # In a capture, with its opaque background, every ray is opaque anyway.
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
-        # An object's light differs from side to side by itself.
+        # An object's light differs from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
-        **_climb(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
+        **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
     )
 
 
 def _cpu_samples(seconds: float) -> int:
-    """Of a step: in a short time many small steps teach more, in a long one noise is what is left (decision 0026).
+    """Samples per step: many small steps for a short time, large ones against noise for a long one (decision 0026).
 
-    Budgets in steps (0 seconds) have the largest.
+    Budgets in steps (0 seconds) get the most.
     """
     return int(np.clip(500 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
-def _climb(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, pixels: int) -> dict:
-    """The ladder, and when its rungs are left. pixels: the longest side of the photos."""
-    contraction, four = space.kind == "contraction", FitSettings.shares
-    # What a coarse field is taught for longer is wrong in a contraction; elsewhere it is overfit the less.
-    longest = LONGEST if contraction else ()
+def _levels_of(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, pixels: int) -> dict:
+    """Settings of the capacity levels. pixels: the longest side of the photos."""
+    contraction, four = space.kind == "contraction", FitSettings.level_ends
+    # In a contraction, a coarse grid trained longer learns wrong geometry; elsewhere it overfits less.
+    more = {"level_max_steps": LEVEL_MAX_STEPS if contraction else ()}
     if fixed is not None:
-        ladder = _fixed_ladder(*fixed, first_color=16 if kinds.head == "linear" else fixed[2])
-        return {"ladder": ladder, "shares": four[: len(ladder) - 1], "longest": longest}
-    ladder = ladder_of(kinds, space.kind, pixels)
-    return {"ladder": ladder, "shares": four if len(ladder) == len(four) else FIVE_SHARES, "longest": longest}
+        levels = _fixed_levels(*fixed, first_color=16 if kinds.head == "linear" else fixed[2])
+        return {"levels": levels, "level_ends": four[: len(levels) - 1], **more}
+    levels = levels_for(kinds, space.kind, pixels)
+    return {"levels": levels, "level_ends": four if len(levels) == len(four) else FIVE_LEVEL_ENDS, **more}
 
 
-def _fixed_ladder(resolution: int, density: int, color: int, first_color: int) -> tuple[CapacityLevel, ...]:
-    """Coarse to fine towards one capacity: the same end, reached sooner than by starting there."""
+def _fixed_levels(resolution: int, density: int, color: int, first_color: int) -> tuple[CapacityLevel, ...]:
+    """Levels that lead to one capacity, which is reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
         CapacityLevel(
@@ -219,7 +209,7 @@ def _fixed_ladder(resolution: int, density: int, color: int, first_color: int) -
 
 
 def _table_bits(resolution: int) -> int:
-    return max([LADDER[0].table_bits] + [rung.table_bits for rung in LADDER if rung.resolution <= resolution])
+    return max([LEVELS[0].table_bits] + [level.table_bits for level in LEVELS if level.resolution <= resolution])
 
 
 def _held_out(train: list[int], wanted: int) -> list[int]:
@@ -230,34 +220,34 @@ def _held_out(train: list[int], wanted: int) -> list[int]:
 
 
 def _shown(background: str) -> str:
-    """What stands behind the field in pictures: what it was trained over; white where that was random."""
+    """Background of the field in images: the one it was trained over, white if that was random."""
     return background if background in ("black", "none") else "white"
 
 
 def _figures(fitter: Fitter, held_out: list[int], reason: str) -> dict:
     state = fitter.state
-    rung, kinds = fitter.climb.rung, fitter.settings.kinds
+    level, kinds = fitter.search.level, fitter.settings.kinds
     density, color = fitter.field.density, fitter.field.color
     return {
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "parameters": fitter.field.parameters,
-        "held_out_psnr": state.stands.get("held out"),
-        "training_psnr": state.stands.get("trained on"),
+        "held_out_psnr": state.quality.get("held out"),
+        "training_psnr": state.quality.get("trained on"),
         "curve": state.curve,
         "decisions": state.decisions,
-        "capacity": fitter.climb.told(fitter.field.parameters),
+        "capacity": fitter.search.summary(fitter.field.parameters),
         "sizes": state.sizes,
         "kinds": [kinds.density, kinds.color, kinds.head],
-        "resolution": rung.resolution,
+        "resolution": level.resolution,
         "density_rank": getattr(density, "rank", None),
         "color_rank": getattr(getattr(color, "features", color), "rank", None),
         "degree": getattr(color, "degree", None),
-        "table_bits": rung.table_bits if "hash" in (kinds.density, kinds.color) else None,
+        "table_bits": level.table_bits if "hash" in (kinds.density, kinds.color) else None,
         "occupied_share": round(fitter.field.occupancy.share, 4),
         "rollbacks": state.rollbacks,
         "ended_at": state.ended_at,
-        EXPOSURE_STOPS: {c.name: round(s, 3) for c, s in zip(fitter.bank.cameras, state.stops or [])},
+        EXPOSURE_STOPS: {c.name: round(s, 3) for c, s in zip(fitter.dataset.cameras, state.stops or [])},
         "held_out_views": len(held_out),
         "space": fitter.space.kind,
         "space_reason": reason,

@@ -1,4 +1,4 @@
-"""Recolor: a decomposed field with another palette, everywhere or around a place; nothing is trained (PaletteNeRF)."""
+"""Recolor: change a decomposed field's palette, everywhere or around points, without training (PaletteNeRF)."""
 
 import numpy as np
 
@@ -19,17 +19,17 @@ from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.kernels.cpu.compiling import set_threads
 
 SPEC = Spec(stage="recolor", verb="stylize", revision=2, writes="field")
-REACH = 0.1  # of the distance between camera and place
-SEEN = 0.5  # alpha from which a pixel shows a place
+REACH = 0.1  # of the distance from the camera
+SEEN = 0.5  # alpha from which a pixel shows a surface
 
 
 def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the same field with the changes; returns the figures."""
+    """Write the same field with the changes; return the figures."""
     source = inputs["field"]
     field, background = load_field(source)
     color = field.color
     if not isinstance(color, PaletteColor):
-        raise BadInput(f"{source.path} has no palette; make one by `stylerf stylize --method palettenerf`")
+        raise BadInput(f"{source.path} has no palette; make one with `stylerf stylize --method palettenerf`")
     columns, shares = columns_and_shares(source, color.bases)
     changes = changes_of(config, color.present_palette[columns], np.array(shares)[columns])
     try:
@@ -42,11 +42,11 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
     changes = by_column(changes, columns)
     edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
     field.color = color.edited(edit)
-    told = told_after(source, changes)
+    totals = told_after(source, changes)
     save_field(partial.path, field, background)
-    save_palette(partial.path, color.palette, field.color.present_palette, shares, told)
+    save_palette(partial.path, color.palette, field.color.present_palette, shares, totals)
     return {
-        **told,
+        **totals,
         "learned": source.name,
         "edit": edit.describe(),
         "edits": len(field.color.edits),
@@ -54,7 +54,7 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
     }
 
 
-def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, chunks: int) -> SpaceFilter:
+def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, threads: int) -> SpaceFilter:
     """Around the surface points that the pixels of --at show."""
     centers, reaches = [], []
     for text in config.at:
@@ -63,9 +63,9 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, chunk
         if not (column < camera.width and row < camera.height):
             raise BadInput(f"--at {text}: view {name} has {camera.width}x{camera.height} pixels")
         pixel = np.array([int(row) * camera.width + int(column)])
-        x, alpha = ends_of_rays(field, camera, pixel, chunks)
+        x, alpha = ends_of_rays(field, camera, pixel, threads)
         if alpha[0] < SEEN:
-            raise BadInput(f"--at {text}: nothing of the field is seen there; give a pixel of a thing")
+            raise BadInput(f"--at {text} shows nothing of the field; give a pixel of an object")
         centers.append(tuple(float(v) for v in field.space.unwarp(x)[0]))
         reaches.append(REACH * float(np.linalg.norm(np.array(centers[-1]) - camera.center)))
     return SpaceFilter(field.space, tuple(centers), config.reach or float(np.mean(reaches)))

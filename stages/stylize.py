@@ -1,8 +1,8 @@
-"""Stylize: a field of the same shapes in the colors and strokes of a painting."""
+"""Stylize: a field with the same density, in the colors and strokes of a style image."""
 
-import functools
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from schemas.errors import BadInput
@@ -16,7 +16,7 @@ from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.style_images import read_painting
 from stages.artifacts.validity import sound
 from stages.configs.fit import budget_of
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of, rays_on
@@ -24,194 +24,212 @@ from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import run_training
-from stages.stylization.settings import coarse_taps, new_color, own_color, painting_taps, settings_of, template_taps
+from stages.stylization.settings import (
+    coarse_layers,
+    image_layers,
+    new_color,
+    reference_layers,
+    region_color,
+    settings_of,
+)
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_color import HashColor
+from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.backends import style_backend
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.stylize.arf import ArfTrainer
-from stylerf.training.stylize.refnpr import RefNprTrainer
-from stylerf.training.stylize.snerf import SnerfTrainer
+from stylerf.training.stylize.arf import Arf
+from stylerf.training.stylize.method import StyleMethod
+from stylerf.training.stylize.refnpr import RefNpr
+from stylerf.training.stylize.scene import StyledScene, StyleProblem
+from stylerf.training.stylize.snerf import Snerf
 from stylerf.training.stylize.trainer import StylizationTrainer
 
 
 def _outside(config: StylizeConfig) -> dict[str, str]:
-    return digests_of_files(config) | ({"references_digest": digest_of(config.reference)} if config.reference else {})
+    references = {"references_digest": digest_of(config.references)} if config.references else {}
+    return digests_of_files(config) | references
 
 
 SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field", outside=_outside)
-WORKING_BYTES = 1.5e9  # what a step takes beside what is kept of the views: pictures at full size, the trunk's graph
-KEPT_BYTES = 60  # about, for each pixel of a view: its photo, samples on its surfaces, features at half its size
-WORDS = {"refit": "new colors"}  # of phases that are not told by their own name
+WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
+BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
+PHASE_LABELS = {"refit": "new colors"}
 
 
 def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the stylized field; returns the figures, among them the curve of the loss."""
+    """Write the stylized field; return its figures, among them the curve of the loss."""
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     region = region_of_field(inputs["region"], inputs["field"], field) if "region" in inputs else None
     deformation = load_deformation(inputs["field"]) if config.method == "desrf" else None
     if config.method == "desrf" and deformation is None:
-        raise BadInput(f"{inputs['field'].path} has no deformation to move; run `stylerf deform` on it first")
+        raise BadInput(f"{inputs['field'].path} has no deformation to train; run `stylerf deform` on it first")
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-    painting = read_painting(Path(config.style or file_of(config.reference[0])[1]))
+    style_image = read_painting(Path(config.style or file_of(config.references[0])[1]))
     device = gpu_of(context)
     try:
-        given = scene, field, level_of(background), painting, resolved, deformation, region
-        stylizer = _stylizer(config, *given, context, device)
+        given = field, level_of(background), style_image, deformation, region
+        problem = _problem(config, scene, *given, context, device)
+        method = _method(config, problem, scene, region, resolved, context, device)
     except InvalidValue as error:
-        raise BadInput(f"{config.style or config.reference[0]} on {inputs['field'].path}: {error}") from error
+        name = config.style or config.references[0]
+        raise BadInput(f"{name} on {inputs['field'].path}: {error}") from error
+    trainer = StylizationTrainer(method)
     if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
         with sound(partial.checkpoint, "a sound checkpoint"):
-            stylizer.resume(*saved)
-        context.progress.say(f"going on from step {stylizer.state.step} of phase {stylizer.state.phase}")
+            trainer.resume(*saved)
+        context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):
-            _train(stylizer, config, partial, context)
+            _train(trainer, config, partial, context)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
-    save_field(partial.path, stylizer.field, background)
+    stylized, state = trainer.scene.field, trainer.state
+    save_field(partial.path, stylized, background)
     if deformation is not None:
         save_deformation(partial.path, deformation)
-    # The painting stays with what was made from it, for whoever evaluates it later.
-    write_png(partial.path / "style.png", to_uint8(painting.permute(1, 2, 0).numpy()))
-    state = stylizer.state
+    # The style image stays with the result, for later evaluation.
+    write_png(partial.path / "style.png", to_uint8(style_image.permute(1, 2, 0).numpy()))
     return {
         "method": config.method,
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": _learned(stylizer.field).finest,
-        "parameters": stylizer.field.parameters,
+        "finest": _trained_color(stylized).finest,
+        "parameters": stylized.parameters,
         "features": resolved.manifest(),
-        "views": len(stylizer.cameras),
+        "views": len(problem.cameras),
         "rollbacks": state.counts.get("rollbacks", 0),
-        **_figures_of_method(stylizer, config, scene, partial),
+        **_figures_of_method(method, config, scene, partial),
         **gpu_figures(device),
         **scene.exposure_figures,
     }
 
 
-def _learned(field: RadianceField) -> HashColor:
-    """The colors that were taught."""
+def _trained_color(field: RadianceField) -> HashColor:
     return field.color.own if isinstance(field.color, RegionColor) else field.color
 
 
-def _stylizer(
+def _problem(
     config: StylizeConfig,
     scene: SceneData,
     field: RadianceField,
     level: float,
-    painting: torch.Tensor,
-    resolved: ResolvedExtractor,
+    style_image: torch.Tensor,
     deformation: Deformation | None,
     region: Region | None,
     context: Context,
     device: str | None,
-) -> StylizationTrainer:
-    """What `config.method` stylizes with, before its first step."""
-    views, moving = scene.splits["train"], deformation is not None
-
-    def trunk(taps: str) -> FeatureExtractor:
-        return FeatureExtractor(resolved.state, taps, resolved.kind).to(device or "cpu")
-
-    cameras = [scene.cameras[i] for i in views]
-    threads = torch.get_num_threads()
-    photos = BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0)
-    long_side = max(max(c.width, c.height) for c in scene.cameras)
-    settings = settings_of(config, long_side, field.opaque_background, region is not None)
-    color = functools.partial(new_color, config)
-    if region is not None:
-        # In no cell around it: nothing there is asked to stay as it is.
-        color = functools.partial(own_color, config, field.color, region.edit)
-    given = (
-        field,
-        cameras,
-        photos,
-        level,
-        painting,
-        trunk(painting_taps(config, resolved.state)),
-        settings,
-        context.seed,
-        threads,
-        color,
+) -> StyleProblem:
+    """What any method is given. level: gray of the background."""
+    views, threads = scene.splits["train"], torch.get_num_threads()
+    long_side = max(max(camera.width, camera.height) for camera in scene.cameras)
+    return StyleProblem(
+        field=field,
+        cameras=[scene.cameras[i] for i in views],
+        photos=BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0),
+        background=level,
+        settings=settings_of(config, long_side, field.opaque_background, region is not None),
+        seed=context.seed,
+        threads=threads,
+        style_image=style_image,
+        deformation=deformation,
+        region=None if region is None else region.edit,
+        memory=_memory_for_views(scene, views, context),
+        backend=style_backend(rays_on(device, field, context, deformation is not None)),
     )
-    more = {"memory": _room_for(scene, views, context), "device": rays_on(device, field, context, moving)}
-    more["within"] = None if region is None else region.edit
-    if config.method == "snerf":
-        return SnerfTrainer(*given, **more)
-    if config.method == "refnpr":
-        references = read_references(scene, config.reference)
-        if not references:
-            view = chosen_view(scene, field, cameras, config, settings.share, threads, region)
-            context.progress.say(f"view {cameras[view].name} is made the reference")
-            references = {view: None}
-            if config.reference_by == "adain":
-                references[view] = decoded_reference(photos[view], painting, config.style_scale, device or "cpu")
-        more |= {
-            "references": references,
-            "template_trunk": trunk(template_taps(config, resolved.state)),
-            "coarse_trunk": trunk(coarse_taps(resolved.state)),
-        }
-        return RefNprTrainer(*given, **more)
-    return ArfTrainer(*given, deformation, **more)
 
 
-def _figures_of_method(
-    stylizer: StylizationTrainer, config: StylizeConfig, scene: SceneData, partial: PartialArtifact
-) -> dict:
-    """What a method tells beside what all tell; references are kept with what was made after them."""
-    if isinstance(stylizer, SnerfTrainer):
-        return {"rounds": config.rounds, "pictures": stylizer.state.counts.get("pictures", 0)}
-    if not isinstance(stylizer, RefNprTrainer):
+def _method(
+    config: StylizeConfig,
+    problem: StyleProblem,
+    scene: SceneData,
+    region: Region | None,
+    resolved: ResolvedExtractor,
+    context: Context,
+    device: str | None,
+) -> StyleMethod:
+    """The method before its first step."""
+
+    def extractor(layers: str) -> FeatureExtractor:
+        return FeatureExtractor(resolved.state, layers, resolved.kind).to(device or "cpu")
+
+    def color(generator: np.random.Generator, styled: StyledScene) -> ColorPart:
+        if region is None:
+            return new_color(config, generator, styled.pixel_cells())
+        # In no cell around the region: nothing there has to stay as it is.
+        return region_color(config, problem.field.color, region.edit, styled.pixel_cells())
+
+    own = extractor(image_layers(config, resolved.state))
+    if isinstance(config, SnerfConfig):
+        return Snerf(StyledScene(problem, color), own)
+    if not isinstance(config, RefNprConfig):
+        return Arf(StyledScene(problem, color), own)
+    references = read_references(scene, config.reference)
+    if not references:
+        threshold = problem.settings.weight_threshold
+        view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)
+        context.progress.say(f"making view {problem.cameras[view].name} the reference")
+        references = {view: None}
+        if config.reference_by == "adain":
+            photo = problem.photos[view]
+            references[view] = decoded_reference(photo, problem.style_image, config.style_scale, device or "cpu")
+    matching = extractor(reference_layers(config, resolved.state))
+    coarse = extractor(coarse_layers(resolved.state))
+    return RefNpr(StyledScene(problem, color), own, references, matching, coarse)
+
+
+def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneData, partial: PartialArtifact) -> dict:
+    """Figures that only this method has; its references are written beside the result."""
+    if isinstance(config, SnerfConfig):
+        return {"rounds": config.rounds, "pictures": method.scene.state.counts.get("pictures", 0)}
+    if not isinstance(method, RefNpr) or not isinstance(config, RefNprConfig):
         return {}
-    told = []
-    for place, picture in stylizer.references.items():
+    by, references = "file" if config.reference else config.reference_by or "nnfm", []
+    for place, image in method.references.items():
         index = scene.splits["train"][place]
         file = f"reference-{index}.png"
-        write_png(partial.path / file, to_uint8(picture))
-        told.append({"view": scene.views[index].name, "file": file, "by": config.reference_by or "nnfm"})
-        if config.reference:
-            told[-1]["by"] = "file"
-    return {"references": told, "registered": round(stylizer.registered_share, 4)}
+        write_png(partial.path / file, to_uint8(image))
+        references.append({"view": scene.views[index].name, "file": file, "by": by})
+    return {"references": references, "registered": round(method.registered_share, 4)}
 
 
-def _room_for(scene: SceneData, views: list[int], context: Context) -> float:
-    """Bytes for what is kept of the views; says where not all of it will be."""
+def _memory_for_views(scene: SceneData, views: list[int], context: Context) -> float:
+    """Bytes for caching the views, with a note if they do not all fit."""
     left = max(available_bytes(context.memory) - WORKING_BYTES, 0)
-    needed = KEPT_BYTES * sum(scene.cameras[i].width * scene.cameras[i].height for i in views)
+    needed = BYTES_PER_PIXEL * sum(scene.cameras[i].width * scene.cameras[i].height for i in views)
     if needed > left:
         context.progress.say(
-            f"{len(views)} views take about {in_words(needed)} to keep, more than the {in_words(left)} of memory left "
-            "for them: what does not fit is made anew whenever its view comes up"
+            f"caching {len(views)} views takes about {in_words(needed)}, more than the {in_words(left)} of memory "
+            "left: views that do not fit are recomputed at each use"
         )
     return left
 
 
-def _train(stylizer: StylizationTrainer, config: StylizeConfig, partial: PartialArtifact, context: Context) -> None:
+def _train(trainer: StylizationTrainer, config: StylizeConfig, partial: PartialArtifact, context: Context) -> None:
     shown = ""
 
-    def tell(now: StylizationTrainer) -> None:
+    def report(now: StylizationTrainer) -> None:
         nonlocal shown
-        state = now.state
+        state, total = now.state, now.scene.budget.steps
         if state.phase != shown:
             shown = state.phase
             seconds, _ = budget_of(config.budget)
-            total = now.steps_of_phase
-            context.progress.start(WORDS.get(shown, shown), total or seconds, "step" if total else "s")
+            context.progress.start(PHASE_LABELS.get(shown, shown), total or seconds, "step" if total else "s")
         note = ""
         if state.curve:
             last = state.curve[-1]
             note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
-        context.progress.update(state.step if now.steps_of_phase else min(state.seconds, now.settings.seconds), note)
+        context.progress.update(state.step if total else min(state.seconds, now.settings.seconds), note)
 
-    run_training(stylizer, "the stylization", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(trainer, "the stylization", config.checkpoint_every_seconds, partial, context, report)

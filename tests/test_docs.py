@@ -15,7 +15,6 @@ import pytest
 
 from schemas.errors import UsageError
 from stages.configs.stylize import COLOR_CELLS
-from stylerf.training.fit.capacity_levels import LADDER
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 
@@ -119,7 +118,7 @@ def test_the_readme_is_short_and_has_one_table_of_results():
 
 def test_capacity_levels_are_those_of_the_code():
     documented = re.search(r"starts at (\d+)\^3 and tries (\d+)\^3, (\d+)\^3 and (\d+)\^3", ARCHITECTURE).groups()
-    assert [int(one) for one in documented] == [level.resolution for level in LADDER]
+    assert [int(one) for one in documented] == [level.resolution for level in LEVELS]
     assert f"{COLOR_CELLS[1]}^3" in (DOCS / "decisions" / "0005-march-each-view-once.md").read_text()
 
 
@@ -162,7 +161,7 @@ def test_options_exist(page, options):
     known = set().union(*options.values()) | OTHER_OPTIONS
     text = page.read_text()
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*[a-z](?![\w-])", text)) <= known
-    for verb, option in re.findall(r"`(\w+) (--[a-z-]+)[^`]*`", text):  # such as `fit --clip`
+    for verb, option in re.findall(r"`(\w+) (--[a-z-]+)[^`]*`", text):  # such as `fit --gradient-clip`
         assert verb not in options or option in options[verb], f"{verb} {option}"
 
 

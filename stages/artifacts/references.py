@@ -11,7 +11,7 @@ from schemas.canonical_json import file_sha256
 from schemas.errors import BadInput
 from stages.artifacts.scene import SceneData, view_index
 from stages.artifacts.style_images import read_painting
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import RefNprConfig
 from stages.configs.views import file_of
 from stages.weights.resolve import resolve, resolve_decoder
 from stylerf.editing.edit_grid import Region
@@ -69,9 +69,9 @@ def chosen_view(
     scene: SceneData,
     field: RadianceField,
     cameras: list[Camera],
-    config: StylizeConfig,
-    share: float,
-    chunks: int,
+    config: RefNprConfig,
+    weight_threshold: float,
+    threads: int,
     region: Region | None = None,
 ) -> int:
     """Place among the training views of the one to make a reference: --reference-view, or the best seen by all.
@@ -80,13 +80,13 @@ def chosen_view(
     """
     if config.reference_view:
         return training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
-    seen = few_points(field, cameras, share, chunks)
+    seen = few_points(field, cameras, weight_threshold, threads)
     if region is not None:
         seen = [replace(one, there=one.there & region.holds(one.places)) for one in seen]
     return best_reference(seen)
 
 
-def checked(scene: SceneData, config: StylizeConfig) -> None:
+def checked(scene: SceneData, config: RefNprConfig) -> None:
     """BadInput or UsageError for whatever of the options cannot be, before any long work."""
     read_references(scene, config.reference)
     if config.reference_view:

@@ -1,4 +1,4 @@
-"""Options of `stylerf stylize --method palettenerf`: how a palette is learned, and what is changed of one."""
+"""Options of `stylerf stylize --method palettenerf`: learning a palette, and changing it."""
 
 from dataclasses import dataclass, fields
 
@@ -10,35 +10,50 @@ from stages.configs.views import pixel_of
 METHOD = "palettenerf"
 
 
+LOSS, GRID, STEPS = "loss", "color field", "training"
+
+
 @dataclass(frozen=True)
 class DecomposeConfig:
-    """How the colors of a whole scene are decomposed into a palette (PaletteNeRF)."""
+    """How a scene's colors are decomposed into a palette (PaletteNeRF)."""
 
-    method: str = option(METHOD, choices=(METHOD,), help="palettenerf: a palette of the whole scene, to be changed")
-    bases: int = option(
-        4, help="palette colors, 4 to 16 (0: as few as leave an error of 5/255 of the photos' colors)"
+    method: str = option(METHOD, choices=(METHOD,), help="palettenerf: an editable palette of the whole scene")
+    bases: int = option(4, help="palette colors, 4 to 16 (0: as few as leave an error of 5/255)")
+    budget: str = option("2m", help="time (60s, 2m) or number of the palette's steps")
+    rate: float = option(1e-2, help="learning rate, falling to a tenth (hash table: three times it)")
+    sparsity_weight: float = option(2e-3, help="weight against mixing several palette colors (PaletteNeRF: 2e-4)")
+    refit_steps: int = option(
+        300, help="steps that first fit the direct color to the photos", advanced=True, group=STEPS
     )
-    budget: str = option("2m", help="time of the palette's steps (60s, 2m) or their number")
-    refit_steps: int = option(300, help="steps that fit the direct color to the photos first")
-    pixels: int = option(2048, help="pixels of a view that a step learns from")
-    rate: float = option(1e-2, help="learning rate, falling to a tenth; of the table three times it")
-    sparsity_weight: float = option(2e-3, help="weight of places having several palette colors (PaletteNeRF: 2e-4)")
-    offset_weight: float = option(0.03, help="weight of the squared offsets from palette colors")
-    view_weight: float = option(0.1, help="weight of the square of what depends on the view")
-    smooth_weight: float = option(4e-3, help="weight of differences between mixes of near places of like color")
-    guide_weight: float = option(0.05, help="weight of the mixes that the palette's hull tells, at the beginning")
-    drift_weight: float = option(1e-3, help="weight of the palette's way from what was extracted")
-    levels: int = option(8, help="levels of the hash grid")
-    finest: int = option(0, help="cells a side of its finest level (0: a little finer than a pixel of the photos)")
-    table_bits: int = option(17, help="its table entries a level, as a power of two")
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
+    pixels: int = option(2048, help="pixels per step", advanced=True, group=STEPS)
+    offset_weight: float = option(
+        0.03, help="weight of the squared offsets from palette colors", advanced=True, group=LOSS
+    )
+    view_weight: float = option(0.1, help="weight of the squared view-dependent color", advanced=True, group=LOSS)
+    smooth_weight: float = option(
+        4e-3, help="weight of differences between mixes at near points of similar color", advanced=True, group=LOSS
+    )
+    guide_weight: float = option(
+        0.05, help="weight of the mixes given by the palette's convex hull, at the beginning", advanced=True, group=LOSS
+    )
+    drift_weight: float = option(
+        1e-3, help="weight of the palette's distance from the extracted one", advanced=True, group=LOSS
+    )
+    levels: int = option(8, help="levels of the hash grid", advanced=True, group=GRID)
+    finest: int = option(
+        0, help="cells per side of its finest level (0: a little finer than a pixel)", advanced=True, group=GRID
+    )
+    table_bits: int = option(17, help="log2 of its table entries per level", advanced=True, group=GRID)
+    checkpoint_every_seconds: float = option(
+        20.0, help="time between checkpoints", incidental=True, advanced=True, group=STEPS
+    )
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
         if self.bases and not 4 <= self.bases <= 16:
-            raise ValueError("bases must be 4 to 16, or 0: fewer corners hold no volume of colors")
+            raise ValueError("bases must be 4 to 16, or 0: fewer corners enclose no volume of colors")
         if self.refit_steps < 0 or self.pixels < 1 or self.rate <= 0:
-            raise ValueError("refit_steps must be at least 0, pixels at least 1, rate over 0")
+            raise ValueError("refit_steps must be at least 0, pixels at least 1, rate > 0")
         for name in ("sparsity", "offset", "view", "smooth", "guide", "drift"):
             if getattr(self, f"{name}_weight") < 0:
                 raise ValueError(f"{name}_weight must be at least 0")
@@ -49,17 +64,17 @@ class DecomposeConfig:
 
 @dataclass(frozen=True)
 class RecolorConfig(PaletteConfig):
-    """What is changed of a decomposed field's palette, everywhere or around places; nothing is trained for it."""
+    """Changes of a decomposed field's palette, everywhere or around points; they need no training."""
 
-    offset_scale: float = option(1.0, help="factor of the offsets from palette colors (0: flat colors)")
-    view_scale: float = option(1.0, help="factor of what depends on the view (0: no gloss)")
-    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what is changed, as of `select`")
+    offset_scale: float = option(1.0, help="scale the offsets from palette colors (0: flat colors)")
+    view_scale: float = option(1.0, help="scale the view-dependent color (0: no gloss)")
+    at: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="change only around the surface at this pixel")
     reach: float = option(
-        0.0, help="distance from there at which a change has fallen to 1/e, scene units (0: a tenth of the view's)"
+        0.0, help="distance at which the change has fallen to 1/e, scene units (0: a tenth of the camera's distance)"
     )
     filter: str = option(
         "", choices=("", "none", "space"), metavar="none|space",
-        help="where a change applies: everywhere, or around --at (default: around --at where it is given)",
+        help="where the change applies: everywhere, or around --at (default: around --at if given)",
     )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -67,21 +82,21 @@ class RecolorConfig(PaletteConfig):
         for text in self.at:
             pixel_of(text)
         if self.filter == "space" and not self.at:
-            raise ValueError("--filter space needs a place; give --at VIEW:X,Y")
+            raise ValueError("--filter space needs a point; give --at VIEW:X,Y")
         if not 0 <= self.reach < float("inf") or (self.reach and not self.at):
-            raise ValueError("reach must be at least 0, and is the reach around --at VIEW:X,Y")
+            raise ValueError("reach must be at least 0, and needs --at VIEW:X,Y")
         for name in ("offset_scale", "view_scale"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"{name} must be at least 0")
         if (self.at or self.filter) and not self:
-            raise ValueError("--at and --filter tell where a palette is changed; say what becomes of it by --palette")
+            raise ValueError("--at and --filter say where to change the palette; say how with --palette")
 
     def __bool__(self) -> bool:
         return super().__bool__() or self.offset_scale != 1 or self.view_scale != 1
 
     @property
     def local(self) -> bool:
-        """Whether the change applies around places only."""
+        """Whether the change applies around points only."""
         return bool(self.at) and self.filter != "none"
 
 
@@ -100,5 +115,5 @@ class PaletteFieldConfig(RecolorConfig, DecomposeConfig):
 
     @property
     def changes(self) -> RecolorConfig:
-        """What is changed of it."""
+        """How it is changed."""
         return RecolorConfig(**{item.name: getattr(self, item.name) for item in fields(RecolorConfig)})

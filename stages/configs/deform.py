@@ -9,20 +9,18 @@ from stages.configs import option
 class DeformConfig:
     """How the deformation of a fitted field is initialized (DeSRF)."""
 
-    steps: int = option(2000, help="most steps; fewer where the photos gain nothing any more")
-    rays: int = option(1024, help="random rays a step")
+    steps: int = option(2000, help="most steps; stops earlier when the photos gain nothing more")
+    rays: int = option(1024, help="random rays per step")
     rate: float = option(1e-3, help="learning rate of the deformation network")
     smoothness: float = option(1.0, help="weight of the displacement's total variation")
-    vertices: int = option(32, help="side of the grid that the deformation is baked to")
-    width: int = option(256, help="width of the network's two hidden layers")
-    frequencies: int = option(5, help="octaves of the positional encoding")
-    patience_db: float = option(0.02, help="dB that the photos must gain every 200 steps to go on (0: all steps)")
+    patience_db: float = option(0.02, help="dB to gain every 200 steps to continue (0: run all steps)")
     gate: float = option(
-        0.0,
-        help="dB that training views kept aside must gain, else the deformation is dropped (remedy for shapes that "
-        "bend without need; 0: as far as the photos gain)",
+        0.0, help="dB that held-out training views must gain, or the deformation is dropped (0: no check)"
     )
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True)
+    vertices: int = option(32, help="vertices per side of the displacement grid", advanced=True, group="network")
+    width: int = option(256, help="width of the network's two hidden layers", advanced=True, group="network")
+    frequencies: int = option(5, help="octaves of the positional encoding", advanced=True, group="network")
+    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True, advanced=True)
 
     def __post_init__(self) -> None:
         if self.gate < 0:

@@ -9,9 +9,9 @@ from stages.configs import option
 class DistillConfig:
     """How an edit is written into the photos."""
 
-    fade: bool = option(True, help="fade changes of the palette towards what surrounds the region")
-    least: float = option(0.5, help="opacity of a pixel from which it is edited")
+    fade: bool = option(True, help="fade palette changes towards the region's surroundings")
+    min_opacity: float = option(0.5, help="opacity of the region from which a pixel is edited")
 
     def __post_init__(self) -> None:
-        if not 0 < self.least < 1:
-            raise ValueError("least must be over 0 and under 1")
+        if not 0 < self.min_opacity < 1:
+            raise ValueError("min_opacity must be between 0 and 1")

@@ -6,86 +6,109 @@ from dataclasses import dataclass
 from stages.configs import option
 
 FIELD_KINDS = ("vm", "hash", "voxel")
-# By layout; of every training of a field's shapes (docs/decisions/0011).
+# By layout, whenever density is trained (docs/decisions/0011).
 SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
-EVEN_FROM = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the median distance of the cameras from their focus
+NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus
 
 
 @dataclass(frozen=True)
 class FitConfig:
     """How a radiance field is fitted to a scene."""
 
-    budget: str = option("5m", help="training time (60s, 5m, 1h) or a number of steps; the quality of longer is higher")
+    budget: str = option("5m", help="training time (60s, 5m, 1h) or number of steps; longer gives better quality")
     field: str = option(
         "vm",
         metavar="KIND|DENSITY+COLOR",
-        help="what density and color are kept in: vm (planes and lines), hash (a hash grid), voxel (a sparse grid); "
-        "or two kinds, as vm+hash",
-    )
-    head: str = option(
-        "linear", choices=("linear", "mlp"), help="from features to colors: spherical harmonics, or a small network"
+        help="representation: vm (planes and lines), hash (hash grid), voxel (sparse grid); or two kinds, as vm+hash",
     )
     capacity: str = option(
         "grow",
         metavar="grow|fixed:N[xD[xC]]",
-        help="grow while held-out views gain, or N vertices an axis (hash: cells at most), of vm with density rank D "
-        "and color rank C",
+        help="grow while held-out views gain, or fix N vertices per axis, with vm ranks D (density) and C (color)",
     )
-    min_gain: float = option(0.1, help="dB that held-out views must gain for a larger field to be kept")
+    min_gain: float = option(0.1, help="dB that held-out views must gain to keep a larger field")
     space: str = option(
         "auto", choices=("auto", "box", "contraction", "frustum"), help="warp of space (auto: by the scene's layout)"
     )
     background: str = option(
         "auto",
         choices=("auto", "white", "black", "random"),
-        help="what transparent pixels are trained on (auto: white)",
+        help="background to train transparent pixels over (auto: white)",
     )
-    degree: int = option(1, choices=(0, 1, 2), help="degree of the spherical harmonics of the color")
     samples: int = option(
         0,
-        help="density samples a step; the number of rays follows (0: on the CPU 500 for each second of the budget, "
-        "30000 to 90000, and 90000 where it is in steps; on a GPU 262144)",
+        help="density samples per step (0: on the CPU 500 per second of the budget, 30000 to 90000; on a GPU 262144)",
     )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
-    smoothness: float = option(-1.0, help="weight of the planes' total variation (-1: by the scene's layout)")
-    even_from: float = option(
-        -1.0,
-        help="distance, scene units, below which samples learn by the square of their distance, so that nothing builds "
-        "up close to the cameras (0: all alike; -1: by the scene's layout)",
-    )
-    opacity_weight: float = option(
-        0.0, help="weight of a prior that asks every ray of an object to be clear or opaque (remedy for haze; 0: none)"
-    )
-    hull: float = option(
-        0.05,
-        help="share of the views that must show a place as empty, by their transparency, for an object never to be "
-        "looked for there (0: it is looked for everywhere)",
-    )
-    coverage_weight: float = option(
-        0.1, help="weight of the error of an object's outline, its alpha, beside that of its colors (0: none)"
-    )
     exposure: str = option(
         "auto",
         choices=("auto", "on", "off"),
-        help="judge by how much photos differ in exposure, and bring them to one (auto: captures, where it is plain)",
+        help="correct photos to one exposure (auto: in captures whose photos clearly differ)",
     )
-    clip: float = option(
-        0.0, help="a gradient counts as no longer than so many times the usual (remedy for leaps; 0: as long as it is)"
+    held_out: int = option(-1, help="training views held out for decisions (-1: every tenth, at most 4; 0: none)")
+    buffers: bool = option(True, help="also render every view to EXR after the fit", incidental=True)
+    head: str = option(
+        "linear",
+        choices=("linear", "mlp"),
+        help="from features to colors: spherical harmonics, or a small network",
+        advanced=True,
+        group="representation",
     )
-    held_out: int = option(
-        -1, help="training views kept aside while there is anything to decide (-1: every tenth, at most 4; 0: none)"
+    degree: int = option(
+        1,
+        choices=(0, 1, 2),
+        help="degree of the color's spherical harmonics",
+        advanced=True,
+        group="representation",
     )
-    checkpoint_every_seconds: float = option(15.0, help="time between checkpoints", incidental=True)
-    buffers: bool = option(True, help="also render every view to EXR when the field stands", incidental=True)
+    smoothness: float = option(
+        -1.0,
+        help="weight of the planes' total variation (-1: by the scene's layout)",
+        advanced=True,
+        group="regularization",
+    )
+    near_scaling_distance: float = option(
+        -1.0,
+        help="scale gradients of samples nearer to a camera than this, scene units (0: never; -1: by the layout)",
+        advanced=True,
+        group="regularization",
+    )
+    opacity_weight: float = option(
+        0.0,
+        help="weight of a prior that makes an object's rays clear or opaque (remedy for haze)",
+        advanced=True,
+        group="regularization",
+    )
+    visual_hull: float = option(
+        0.05,
+        help="fraction of cut-out views that must show a place as empty to exclude it (0: exclude nothing)",
+        advanced=True,
+        group="regularization",
+    )
+    coverage_weight: float = option(
+        0.1,
+        help="weight of the error of an object's alpha beside that of its colors",
+        advanced=True,
+        group="regularization",
+    )
+    gradient_clip: float = option(
+        0.0,
+        help="clip gradients at this multiple of their running norm (0: never)",
+        advanced=True,
+        group="safeguards",
+    )
+    checkpoint_every_seconds: float = option(
+        15.0, help="time between checkpoints", incidental=True, advanced=True, group="safeguards"
+    )
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
         capacity_of(self.capacity)
         kinds_of(self.field)
-        if min(self.opacity_weight, self.coverage_weight, self.clip) < 0:
-            raise ValueError("opacity_weight, coverage_weight and clip must not be negative")
-        if not 0 <= self.hull <= 1:
-            raise ValueError("hull must be a share, 0 to 1")
+        if min(self.opacity_weight, self.coverage_weight, self.gradient_clip) < 0:
+            raise ValueError("opacity_weight, coverage_weight and gradient_clip must not be negative")
+        if not 0 <= self.visual_hull <= 1:
+            raise ValueError("visual_hull must be a fraction, 0 to 1")
         if self.min_gain < 0 or self.rate < 0 or self.checkpoint_every_seconds <= 0:
             raise ValueError("min_gain and rate must not be negative, checkpoint_every_seconds positive")
         if self.samples and self.samples < 1000:

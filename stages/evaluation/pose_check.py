@@ -48,7 +48,7 @@ class ViewShift:
 
 def pose_shifts(fitter: Fitter) -> list[ViewShift]:
     """Measure the shifts of some views, smallest fraction first. A collective call: every process must take part."""
-    cameras = fitter.bank.cameras
+    cameras = fitter.dataset.cameras
     evenly = spread(list(range(len(cameras))), min(EVEN_VIEWS, len(cameras)))
     found = []
     for view in [*evenly, *(view for view in _worst_views(fitter) if view not in evenly)]:
@@ -106,7 +106,7 @@ def _correlation(shifts: list[ViewShift]) -> float:
 
 def _worst_views(fitter: Fitter) -> list[int]:
     """The views with the largest mean squared error, over a sample of rays."""
-    bank, count = fitter.bank, len(fitter.bank.cameras)
+    bank, count = fitter.dataset, len(fitter.dataset.cameras)
     rays = max(MIN_RAYS_PER_VIEW, RAYS // count)
     views = np.repeat(np.arange(count), rays)
     generator = np.random.default_rng([fitter.seed, 5])
@@ -122,7 +122,7 @@ def _worst_views(fitter: Fitter) -> list[int]:
 
 def _photo_and_render(fitter: Fitter, view: int, camera) -> tuple[np.ndarray, np.ndarray]:
     """Photo and render of a view as gray images [h, w] at the size of `camera`, over the fit's background."""
-    bank, own = fitter.bank, fitter.bank.cameras[view]
+    bank, own = fitter.dataset, fitter.dataset.cameras[view]
     count = bank.sizes[view] * bank.channels
     photo = bank.bytes[bank.starts[view] : bank.starts[view] + count].reshape(own.height, own.width, bank.channels)
     photo = photo.astype(np.float32) / 255

@@ -18,10 +18,10 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
     """
     from schemas.atomic_write import sweeping, write_bytes, write_json
     from stages.comparison.cost_charts import comparison_charts
+    from stages.comparison.page import FAMILIES, build_page, rows_of
     from stages.comparison.pareto_fronts import disagreements, on_fronts
     from stages.comparison.runs import CHARTED, on_other_threads, runs_of
     from stages.evaluation.metrics import write_csv
-    from stages.report.comparison_page import FAMILIES, build_page, rows_of
 
     with sweeping((out, out / "charts")):
         runs, gaps = runs_of(works)

@@ -35,7 +35,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     from stages import deform_init, evaluate, nerf_fit, pose_import, render, stylize
     from stages.configs.deform import DeformConfig
     from stages.configs.fit import FitConfig
-    from stages.configs.stylize import StylizeConfig
+    from stages.configs.stylize import CONFIGS
     from stages.pipeline import demo_scene
     from stages.pipeline.importing import import_config
     from stages.weights.resolve import chosen
@@ -55,11 +55,10 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     scene = made(pose_import, {}, import_config(photos), "main")
     fit = made(nerf_fit, {"scene": scene}, FitConfig(budget=config.fit_budget, buffers=False), "fit")
     style = photos / demo_scene.PAINTING
-    look = StylizeConfig(
+    look = CONFIGS[config.method](
         style=str(style.resolve()),
         style_digest=file_sha256(style),
         budget=config.style_budget,
-        method=config.method,
         # Plain shapes in small photos take large strokes, and stay recognizable without a strong content loss.
         coarse=0.5,
         style_scale=2.0,

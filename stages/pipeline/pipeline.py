@@ -3,7 +3,7 @@
     pipeline = Pipeline("work")
     pipeline.import_photos("photos")
     field = pipeline.fit(FitConfig(budget="60s"))
-    stylized = pipeline.stylize(StylizeConfig(style="painting.jpg"))
+    stylized = pipeline.stylize(ArfConfig(style="painting.jpg"))
     pipeline.render(RenderConfig(path="orbit", video=True), of=stylized)
     print(pipeline.evaluate(of=stylized).file("report.html"))
 

@@ -95,9 +95,9 @@ def _results(
     """Run the trials and write everything about them. before: the cells of the baseline."""
     from schemas.atomic_write import write_bytes, write_json
     from stages.evaluation.metrics import write_csv
-    from stages.report.heat_map import heat_map
-    from stages.report.stress_page import build_page, cell_rows, run_rows
     from stages.stress.baseline import compared, write_baseline
+    from stages.stress.heat_map import heat_map
+    from stages.stress.page import build_page, cell_rows, run_rows
     from stages.stress.success_rates import cells_of
     from stages.stress.trials import WORST
 

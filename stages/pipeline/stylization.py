@@ -8,7 +8,7 @@ from schemas.errors import ArtifactDamaged, ArtifactStale, UsageError
 from schemas.work_folder import Artifact
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig, RecolorConfig
 from stages.configs.region import RegionConfig
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import RefNprConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.pipeline.local_edit import field_of_region, learned_edit, only_one, pinned_look
 from stages.pipeline.prerequisites import ensure_deformed, ensure_field, pictures_of, scene_of_work, training_pictures
@@ -35,7 +35,7 @@ def stylized(
     # Refuse what cannot work before hours of prerequisites, not after them.
     config, name = _pinned(config)
     scene, more = scene_of_work(runner.work), {}
-    if config.method == "refnpr":
+    if isinstance(config, RefNprConfig):
         references.checked(load_scene(scene), config)
     if region_name is None:
         field = ensure_field(runner, scene, field_name)
@@ -60,14 +60,12 @@ def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     from stages.artifacts.style_images import read_painting
     from stages.weights.resolve import chosen
 
-    pairs = [file_of(text) for text in config.reference]
-    features: dict[str, Any] = chosen(config.features)
-    config = replace(
-        config,
-        references_digest=digest_of(config.reference),
-        reference=tuple(f"{view}={file.resolve()}" for view, file in pairs),
-        **features,
-    )
+    pairs = [file_of(text) for text in config.references]
+    files: dict[str, Any] = chosen(config.features)
+    if isinstance(config, RefNprConfig):
+        files["references_digest"] = digest_of(config.reference)
+        files["reference"] = tuple(f"{view}={file.resolve()}" for view, file in pairs)
+    config = replace(config, **files)
     if not config.style:
         return config, name_of(pairs[0][1])
     style = style_file(config.style)

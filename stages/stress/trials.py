@@ -27,7 +27,7 @@ from stages.configs.deform import DeformConfig
 from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import CONFIGS, StylizeConfig
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
@@ -44,9 +44,9 @@ NOT_A_METHODS_FAULT = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResource
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # Options of --remedies on.
-REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "clip": 4.0}
+REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "gradient_clip": 4.0}
 REMEDIES_OF_DEFORM = {"gate": 0.05}
-REMEDIES_OF_STYLE = {"rollbacks": 3, "clip": 4.0, "least_spread": 0.16}
+REMEDIES_OF_STYLE = {"rollbacks": 3, "gradient_clip": 4.0, "min_spread": 0.16}
 
 
 @dataclass(frozen=True)
@@ -195,10 +195,9 @@ class Stress:
     def style_config(self, trial: Trial) -> StylizeConfig:
         """Return the config of a trial's stylization."""
         style, digest = self.style_image(trial)
-        config = StylizeConfig(
+        config = CONFIGS[trial.method.style](
             style=str(style.resolve()),
             style_digest=digest,
-            method=trial.method.style,
             budget=self.conditions["style_budget"],
             **self.features,
         )

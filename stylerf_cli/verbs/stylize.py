@@ -2,25 +2,27 @@
 --method palettenerf, a scene in other colors of its own palette."""
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from schemas.errors import UsageError
 from stages.configs.decompose import METHOD, PaletteFieldConfig
 from stages.configs.region import RegionConfig
-from stages.configs.stylize import StylizeConfig
-from stylerf_cli.arguments import Parser
+from stages.configs.stylize import CONFIGS as METHOD_CONFIGS
+from stages.configs.stylize import ArfConfig, refuse_foreign
+from stylerf_cli.arguments import Parser, read_toml
 from stylerf_cli.palette_table import palette_lines
 from stylerf_cli.session import Session
 
 NAME = "stylize"
 HELP = "stylize a scene or a region, or change its palette"
-CONFIG = StylizeConfig
-CONFIGS = (StylizeConfig, RegionConfig, PaletteFieldConfig)
+CONFIG = ArfConfig
+CONFIGS = (*METHOD_CONFIGS.values(), RegionConfig, PaletteFieldConfig)
 WITHIN = "refnpr"  # the only method for whole scenes that also stylizes a region; the default there is LAENeRF
 
 
 def options_for(argv: list[str]) -> type:
-    """Return the config for this use: a region and a palette have other options than a style image."""
+    """Return the config for this use: each method, a region and a palette have their own options."""
     given = [(flag, value) for one in argv for flag, equals, value in [one.partition("=")] if equals] + [
         *pairwise(argv)
     ]
@@ -31,8 +33,24 @@ def options_for(argv: list[str]) -> type:
                 f"--method {method} stylizes whole scenes; with --region, use --method {WITHIN} (from a stylized view) "
                 "or none (LAENeRF)"
             )
-        return StylizeConfig if method else RegionConfig
-    return PaletteFieldConfig if method == METHOD else StylizeConfig
+        return METHOD_CONFIGS[method] if method else RegionConfig
+    table = _table_of(next((value for flag, value in given if flag == "--config"), ""))
+    method = method or str(table.get("method", ArfConfig.method))
+    if method in METHOD_CONFIGS:
+        flags = [one.partition("=")[0].removeprefix("--").removeprefix("no-") for one in argv if one.startswith("--")]
+        try:
+            refuse_foreign(method, (name.replace("-", "_") for name in (*flags, *table)))
+        except ValueError as error:
+            raise UsageError(str(error)) from error
+    return PaletteFieldConfig if method == METHOD else METHOD_CONFIGS.get(method, ArfConfig)
+
+
+def _table_of(file: str) -> dict[str, Any]:
+    """Return the options for this verb in a --config file, none without a file."""
+    content = read_toml(Path(file)) if file else {}
+    own = content.get(NAME, {})
+    top = {key: value for key, value in content.items() if not isinstance(value, dict)}
+    return {**top, **own} if isinstance(own, dict) else top
 
 
 def add_arguments(parser: Parser) -> None:

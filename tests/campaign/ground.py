@@ -24,7 +24,7 @@ GROWING = ("--budget", "200", "--no-buffers", "--samples", "1500", "--held-out",
 DEFORM = ("--steps", "20", "--vertices", "12", "--width", "16", "--patience-db", "0")
 COLORS = ("--levels", "4", "--finest", "64", "--table-bits", "12")
 WHOLE = ("--at", "#0:16,16", "--tolerance", "0", "--neck", "0", "--most", "1")
-FEW = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--most-colors", "3")
+FEW = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--max-colors", "3")
 STRESS = ("--methods", "fit", "--faults", "seeds", "--seeds", "1", "--budget", "20", "--side", "32", "--quick")
 
 

@@ -15,7 +15,7 @@ from stages.nerf_fit import _settings, _shown, _tell_idle, _tell_memory
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.training.fit.capacity_levels import FULL, LADDER
+from stylerf.training.fit.capacity_levels import FULL, LEVELS
 from stylerf.training.fit.engine import background_of
 from tests.stages.importing import Said
 from tests.stages.stress_fixture import make_capture
@@ -29,49 +29,49 @@ def settings(space: SpaceWarp, **options):
 
 
 def ends_in_time(asked) -> bool:
-    return sorted(asked.shares) == list(asked.shares) and asked.shares[-1] < asked.held_out_until
+    return sorted(asked.level_ends) == list(asked.level_ends) and asked.level_ends[-1] < asked.held_out_until
 
 
 def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
     asked = settings(SPACES["contraction"])
-    assert [rung.resolution for rung in asked.ladder] == [64, 128, 192, 256, 384]
-    assert asked.ladder[-1].color.resolution == asked.ladder[-2].color.resolution == 256
-    assert [rung.density_rank for rung in asked.ladder] == [8, 16, 16, 16, 8]
-    assert len(asked.shares) == len(asked.longest) == len(asked.ladder) and ends_in_time(asked)
+    assert [level.resolution for level in asked.levels] == [64, 128, 192, 256, 384]
+    assert asked.levels[-1].color.resolution == asked.levels[-2].color.resolution == 256
+    assert [level.density_rank for level in asked.levels] == [8, 16, 16, 16, 8]
+    assert len(asked.level_ends) == len(asked.level_max_steps) == len(asked.levels) and ends_in_time(asked)
 
 
 @pytest.mark.parametrize(
     ("space", "pixels", "last"),
-    [("box", 351, LADDER[-1]), ("box", 352, FULL), ("frustum", 351, LADDER[-1]), ("frustum", 352, LADDER[-1])],
+    [("box", 351, LEVELS[-1]), ("box", 352, FULL), ("frustum", 351, LEVELS[-1]), ("frustum", 352, LEVELS[-1])],
 )
 def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
     scene = SimpleNamespace(**vars(SCENE) | {"cameras": [SimpleNamespace(width=20, height=pixels)]})
     asked = _settings(FitConfig(), scene, SPACES[space])
-    assert asked.ladder == (*LADDER[:3], last) and not asked.longest
-    assert len(asked.shares) == len(asked.ladder) and ends_in_time(asked)
-    assert LADDER[-1].resolution == FULL.resolution and LADDER[-1].color.resolution < FULL.color.resolution
+    assert asked.levels == (*LEVELS[:3], last) and not asked.level_max_steps
+    assert len(asked.level_ends) == len(asked.levels) and ends_in_time(asked)
+    assert LEVELS[-1].resolution == FULL.resolution and LEVELS[-1].color.resolution < FULL.color.resolution
 
 
-@pytest.mark.parametrize(("space", "longest"), [("contraction", True), ("box", False)])
+@pytest.mark.parametrize(("space", "level_max_steps"), [("contraction", True), ("box", False)])
 @pytest.mark.parametrize("options", [{"field": "voxel"}, {"field": "vm+hash"}, {"head": "mlp"}])
-def test_other_kinds_climb_four_rungs(space, longest, options):
+def test_other_kinds_climb_four_rungs(space, level_max_steps, options):
     asked = settings(SPACES[space], **options)
-    assert [rung.resolution for rung in asked.ladder] == [64, 128, 192, 256] and asked.ladder[-1] == FULL
-    assert len(asked.shares) == 4 and ends_in_time(asked) and bool(asked.longest) is longest
+    assert [level.resolution for level in asked.levels] == [64, 128, 192, 256] and asked.levels[-1] == FULL
+    assert len(asked.level_ends) == 4 and ends_in_time(asked) and bool(asked.level_max_steps) is level_max_steps
 
 
 def test_a_color_behind_a_network_has_one_width_on_every_rung():
     asked = settings(SPACES["contraction"], head="mlp")
-    assert {rung.color_rank for rung in asked.ladder} == {24}
+    assert {level.color_rank for level in asked.levels} == {24}
     fixed = settings(SPACES["box"], head="mlp", capacity="fixed:128x8x16")
-    assert {rung.color_rank for rung in fixed.ladder} == {16}
+    assert {level.color_rank for level in fixed.levels} == {16}
 
 
 def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
     asked = settings(SPACES["contraction"], capacity="fixed:192x8x16")
-    last = asked.ladder[-1]
-    assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and asked.always_climb
-    assert len(asked.shares) == len(asked.ladder) - 1
+    last = asked.levels[-1]
+    assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and asked.force_growth
+    assert len(asked.level_ends) == len(asked.levels) - 1
 
 
 def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
@@ -93,7 +93,7 @@ def test_behind_a_field_stands_what_it_was_trained_over(kind):
 
 def test_a_boxed_object_scene_keeps_its_background_and_reports_its_ranks(tmp_path):
     """What is made of the field later teaches with the background that is told here. Behind a small network the color
-    has one width from the first rung on; six steps are enough for two rungs."""
+    has one width from the first level on; six steps are enough for two levels."""
     work, said = WorkFolder(tmp_path / "work"), Said()
     scene = make_capture(work, background="none")
     config = FitConfig(budget="6", space="box", capacity="fixed:72x8x24", head="mlp", samples=1000, held_out=0)
@@ -106,7 +106,7 @@ def test_a_boxed_object_scene_keeps_its_background_and_reports_its_ranks(tmp_pat
     assert figures["resolution"] == 72 and max(told["density"]["size"]) == 72
     assert figures["training_psnr"] == figures["curve"][-1]["psnr"] and figures["held_out_psnr"] is None
     assert figures["ended_at"] is None and not any("not reached" in line for line in said.lines)
-    assert settings(SPACES["box"], capacity="fixed:72x8x24").ladder[0].color_rank == 16  # as ever, without a network
+    assert settings(SPACES["box"], capacity="fixed:72x8x24").levels[0].color_rank == 16  # as ever, without a network
 
 
 def test_what_cannot_be_reached_is_told(tmp_path):
@@ -118,16 +118,16 @@ def test_what_cannot_be_reached_is_told(tmp_path):
     assert made.manifest.figures["resolution"] == 128 and "not reached" in made.manifest.figures["decisions"][-1]
 
 
-OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "hull": 0.1}
+OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "visual_hull": 0.1}
 
 
 @pytest.mark.parametrize(
     ("layout", "space", "cut_out", "idle"),
     [
         ("object", "box", True, ""),
-        ("object", "box", False, "--coverage-weight, --hull"),
-        ("object", "contraction", True, "--hull"),
-        ("unbounded", "contraction", True, "--opacity-weight, --coverage-weight, --hull"),
+        ("object", "box", False, "--coverage-weight, --visual-hull"),
+        ("object", "contraction", True, "--visual-hull"),
+        ("unbounded", "contraction", True, "--opacity-weight, --coverage-weight, --visual-hull"),
         ("forward", "box", True, "--opacity-weight, --coverage-weight"),
     ],
 )

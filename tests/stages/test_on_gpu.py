@@ -1,7 +1,5 @@
 """Stages whose rays go through shapes that move hand them to the device that they are told of, and say where not."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 import torch
@@ -14,18 +12,19 @@ from stages import deform_init, stylize
 from stages.artifacts.field import load_deformation, load_field, save_field
 from stages.artifacts.scene import load_scene
 from stages.configs.deform import DeformConfig
-from stages.configs.stylize import StylizeConfig
+from stages.configs.stylize import DesrfConfig
 from stages.run import devices
 from stages.run.devices import rays_on
 from stages.run.progress import Context
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.gpu import interpreted
+from stylerf.training.backends import style_backend
 from stylerf.training.common.process_group import SingleProcess
 from stylerf.training.deform import deformer, fitter
 from stylerf.training.deform.deformer_gpu import GpuDeformer
 from tests.stages.evaluation_fixture import camera_entry, commit
 from tests.stylerf.small import field_of, hash_density, vm_color
-from tests.stylerf.style.small_trunk import picture, small_trunk
+from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
 CONFIG = DeformConfig(steps=1, rays=16, vertices=6, width=16, frequencies=2)
@@ -106,19 +105,12 @@ def test_deforming_stylization_uses_the_gpu_where_kernels_allow(kind, monkeypatc
     scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
     if kind == "hash":
         field.density = hash_density(1)
-    given, said = {}, Said()
-    for name, stand_in in (
-        ("FeatureExtractor", lambda *a: SimpleNamespace(to=lambda device: given.update(trunk=device) or small_trunk())),
-        ("painting_taps", lambda config, state: "conv1"),
-        ("ArfTrainer", lambda *a, **more: given.update(more, deformation=a[-1])),
-    ):
-        monkeypatch.setattr(stylize, name, stand_in)
-    config, bends = StylizeConfig(method="desrf", style="painting.png"), Deformation.create(np.random.default_rng(0))
-    resolved = SimpleNamespace(state={}, kind="vgg16")
+    picked, said = [], Said()
+    monkeypatch.setattr(stylize, "style_backend", lambda device: picked.append(device) or style_backend(None))
+    config, bends = DesrfConfig(style="painting.png"), Deformation.create(np.random.default_rng(0))
     context = Context(device="cuda", progress=said)
-    stylize._stylizer(config, scene, field, 1.0, picture(8, 8, 1), resolved, bends, None, context, "cuda")
-    assert given["deformation"] is bends and given["trunk"] == "cuda"
-    assert given["device"] == ("cuda" if kind == "vm" else None)
+    problem = stylize._problem(config, scene, field, 1.0, picture(8, 8, 1), bends, None, context, "cuda")
+    assert problem.deformation is bends and picked == ["cuda" if kind == "vm" else None]
     expected = [] if kind == "vm" else ["features and matching run on the GPU, rays on the CPU"]
     assert [line.split(":")[0] for line in said.lines] == expected
 
@@ -138,10 +130,10 @@ def test_processes_that_train_together_all_take_their_gpu_or_none(monkeypatch):
     monkeypatch.setattr(torch.cuda, "reset_peak_memory_stats", lambda: begun.append(1))
     assert devices.gpu_of(Context(device="cuda")) == "cuda" and begun == [1]
     with pytest.raises(OutOfResources, match=r"1 of 3 processes .* .process 0 can.; "):
-        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+        devices.gpu_of(Context(device="cuda", processes=OneLacks()))
     monkeypatch.setattr(devices, "unavailable", lambda: "Triton is not installed")
     with pytest.raises(OutOfResources, match=r"2 of 3 .*process 0 cannot: Triton is not installed"):
-        devices.gpu_of(Context(device="cuda", ranks=OneLacks()))
+        devices.gpu_of(Context(device="cuda", processes=OneLacks()))
     said = Said()
     assert devices.gpu_of(Context(device="cuda", progress=said)) is None and len(said.lines) == 1
 

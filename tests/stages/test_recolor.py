@@ -115,7 +115,7 @@ def test_a_change_around_a_pixel_is_placed_on_the_visible_surface(work):
         ({"palette": ("0=#ffffff",)}, "plain", "has no palette"),
         ({"palette": ("0=#ffffff",), "at": ("nobody:1,1",)}, "palette", "there is no view 'nobody'"),
         ({"palette": ("0=#ffffff",), "at": ("#0:96,1",)}, "palette", "has 96x72 pixels"),
-        ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "nothing of the field is seen"),
+        ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "shows nothing of the field"),
     ],
 )
 def test_changes_that_cannot_be_made_are_told(work, options, of, words):
@@ -129,9 +129,9 @@ def test_changes_that_cannot_be_made_are_told(work, options, of, words):
         ({"bases": 3}, "bases must be 4 to 16"),
         ({"smooth_weight": -1.0}, "smooth_weight must be at least 0"),
         ({"palette": ("0=red",)}, "written I=#rrggbb"),
-        ({"palette": ("0=#ffffff",), "filter": "space"}, "needs a place"),
-        ({"palette": ("0=#ffffff",), "reach": 1.0}, "reach around --at"),
-        ({"at": ("a:1,1",)}, "say what becomes of it"),
+        ({"palette": ("0=#ffffff",), "filter": "space"}, "needs a point"),
+        ({"palette": ("0=#ffffff",), "reach": 1.0}, "needs --at VIEW:X,Y"),
+        ({"at": ("a:1,1",)}, "say how with --palette"),
         ({"at": ("a",), "palette": ("0=#ffffff",)}, "VIEW:X,Y"),
         ({"view_scale": -1.0}, "view_scale must be at least 0"),
     ],

@@ -88,7 +88,7 @@ def before(stage: str, work: Path) -> tuple[tuple[object, ...], ...]:
     made = (("select", work, *everything, "--name", "all"), ("extract", work, "--region", "all"))
     if stage == "stylize a region":
         return made
-    few = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--most-colors", "3")
+    few = ("--palette-steps", "10", "--pruned-steps", "4", "--colors", "3", "--max-colors", "3")
     edit = ("stylize", work, "--region", "all", "--recolor", "--palette", "0=#808080", "--name", "gray", *few)
     return (*made, edit, ("distill", work, "--edit", "gray"))
 

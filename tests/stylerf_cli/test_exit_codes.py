@@ -74,9 +74,9 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
         (("--dilation", "0"), "dilation must be at least 1"), (("--budget", "soon"), "neither a time"),
         (("--finest", "8"), "16 to 4096 cells"), (("--style-scale", "0"), "style_scale > 0"),
         (("--style-rows", "0"), "style_rows at least 1"), (("--style-basis", "-1"), "style_basis must not be negative"),
-        (("--rate", "0"), "rate over 0"), (("--refit-steps", "-1"), "refit_steps and"),
+        (("--rate", "0"), "rate > 0"), (("--refit-steps", "-1"), "refit_steps and"),
         (("--method", "desrf", "--displacement-vertices", "1"), "displacement_vertices 4 to 128"),
-        (("--method", "desrf", "--deform-rate", "0"), "deform_rate must be over 0"),
+        (("--method", "desrf", "--deform-rate", "0"), "deform_rate must be > 0"),
     ],
 )  # fmt: skip
 def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, words):
@@ -91,20 +91,20 @@ def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, w
         (("--style", "sound.png", "--reference", "0=sound.png"), "--reference is an option of --method refnpr"),
         (("--style", "sound.png", "--method", "snerf", "--reference-by", "gram"), "an option of --method refnpr"),
         (("--style", "sound.png", "--method", "refnpr", "--rounds", "2"), "--rounds is an option of --method snerf"),
-        (("--style", "sound.png", "--method", "snerf", "--image-share", "1"), "image_share must be over 0 and under 1"),
+        (("--style", "sound.png", "--method", "snerf", "--image-share", "1"), "image_share must be between 0 and 1"),
         (("--style", "sound.png", "--deform-rate", "0.1"), "--deform-rate is an option of --method desrf"),
         (("--style", "sound.png", "--displacement-weight", "1"), "an option of --method desrf; this is --method arf"),
-        (("--style", "sound.png", "--method", "snerf", "--rays", "patch"), "--rays is no option of --method snerf"),
-        (("--style", "sound.png", "--method", "snerf", "--no-remember"), "--remember is no option of --method snerf"),
-        (("--style", "sound.png", "--match", "none", "--most-gain", "2"), "--most-gain bounds the matching of colors"),
+        (("--style", "sound.png", "--method", "snerf", "--rays", "patch"), "--rays is an option of --method arf"),
+        (("--style", "sound.png", "--method", "snerf", "--no-remember"), "--remember is an option of --method arf"),
+        (("--style", "sound.png", "--match", "none", "--max-gain", "2"), "--max-gain limits color matching"),
         (("--style", "sound.png", "--method", "snerf", "--deform-rate", "1"), "an option of --method desrf"),
         (("--method", "refnpr", "--reference", "sound.png"), "written VIEW=FILE.png"),
-        (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "given two references"),
+        (("--method", "refnpr", "--reference", "0=sound.png", "0=sound.png"), "two references"),
         (("--method", "refnpr", "--reference", "0=sound.png", "--reference-view", "1"), "make one"),
         (("--method", "palettenerf", "--style", "sound.png"), "unrecognized arguments"),
         (("--method", "palettenerf", "--bases", "3"), "bases must be 4 to 16"),
         (("--method", "palettenerf", "--palette", "0=red"), "written I=#rrggbb"),
-        (("--method=palettenerf", "--at", "0:1,1"), "say what becomes of it by --palette"),
+        (("--method=palettenerf", "--at", "0:1,1"), "say how with --palette"),
     ],
 )
 def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch, flags, words):
@@ -175,7 +175,7 @@ def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, c
 )
 def test_pixels_to_avoid_where_nothing_grows_by_color(tmp_path, capsys, flags):
     line = told(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
-    assert "--avoid bounds what grows from --at or --scribble" in line
+    assert "--avoid limits growth from --at or --scribble" in line
 
 
 # -- cameras of a path -------------------------------------------------------------------------------------------------

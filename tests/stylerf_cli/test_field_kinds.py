@@ -14,7 +14,7 @@ from stages.pipeline.demo_scene import PAINTING
 from stylerf_cli.main import main
 from tests.stylerf_cli.conftest import STYLIZE
 
-PALETTE = ("--palette-steps", "40", "--pruned-steps", "10", "--colors", "3", "--most-colors", "2")
+PALETTE = ("--palette-steps", "40", "--pruned-steps", "10", "--colors", "3", "--max-colors", "2")
 FIELDS = {
     "vm": ("vm", "linear"),
     "hash": ("hash", "linear"),

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from schemas.work_folder import WorkFolder
-from stylerf.training.stylize.arf import ArfTrainer
+from stylerf.training.stylize.scene import StyledScene
 from stylerf_cli.main import main
 from tests.stylerf_cli.long_stages import FOLLOWED_EVERY_SECONDS, IN_THE_GATE, assert_same, digests, stopped
 
@@ -65,7 +65,7 @@ def test_ctrl_c_while_the_last_colors_are_matched_loses_nothing(long_stage, caps
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(ArfTrainer, "final_match", stop)
+        patch.setattr(StyledScene, "match_renders", stop)
         assert main(command) == 130
     assert stage.partial(work, "matched").is_dir()
     assert main(command) == 0

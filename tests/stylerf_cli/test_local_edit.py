@@ -24,7 +24,7 @@ from stylerf_cli.main import main
 
 DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
         "--frames", "2", "--method", "arf"]  # fmt: skip
-QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--most-colors", "3"]
+QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--max-colors", "3"]
 
 
 def said(capsys, *arguments: object) -> dict:
@@ -220,12 +220,12 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
     assert "scene sharp" in made_from("field", "near") and not (copy / "scene" / "near").exists()
     # A table of an option file says otherwise, and so does `edit`, whose own these stages are.
     options = tmp_path / "options.toml"
-    options.write_text("[extract]\ntolerance = 0.4\n[distill]\nleast = 0.6\n")
+    options.write_text("[extract]\ntolerance = 0.4\n[distill]\nmin_opacity = 0.6\n")
     said(capsys, "stylize", copy, "--region", "ball", "--recolor", "--name", "wide", "--config", options, *QUICK)
     said(capsys, "finetune", copy, "--edit", "wide", "--config", options, *short)
     assert made_from("edit", "wide") == {"edit-dataset ball"} and "scene wide" in made_from("field", "wide")
     assert work.get("edit-dataset", "ball").manifest.config["tolerance"] == 0.4
-    assert work.get("scene", "wide").manifest.config["least"] == 0.6
+    assert work.get("scene", "wide").manifest.config["min_opacity"] == 0.6
 
 
 def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
@@ -426,7 +426,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
-        (["stylize", "--region", "ball", "--recolor", "--crop", "0", "0", "32"], "means nothing with --recolor"),
+        (["stylize", "--region", "ball", "--recolor", "--crop", "0", "0", "32"], "no effect with --recolor"),
         (["distill", "--edit", "no-such"], "none found"),
         (["edit", "--of", "ball", "--at", "MIDDLE", "--recolor", "--name", "ball"], "region ball would replace"),
         (["edit", "--at", "MIDDLE", "--recolor", "--name", "main"], "scene main would replace what it is made from"),
@@ -488,7 +488,7 @@ def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_pat
     begun = work.begin("region", "elsewhere", Recipe(made.stage, made.revision, made.config, made.inputs, made.seed))
     save_region(begun.path, region, replace(space, far=2 * space.far), {})
     begun.commit()
-    assert "divides the space of another field" in refused(capsys, "extract", other, "--region", "elsewhere")
+    assert "was selected on a different field" in refused(capsys, "extract", other, "--region", "elsewhere")
 
 
 @pytest.mark.slow
@@ -501,7 +501,7 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
         monkeypatch.setattr(stage, "gpu_of", lambda context, field=None: "cpu")
     work, small = (
         WorkFolder(edited),
-        ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--most-colors", "3"],
+        ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--max-colors", "3"],
     )
     asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
     said(capsys, "stylize", edited, *asked, *small)

@@ -153,7 +153,7 @@ def test_a_batch_that_does_not_fit_is_worked_off_in_parts_which_is_said(work, ca
     whole = json.loads(fitted(work, capsys, "whole")[0])["figures"]["curve"][-1]["psnr"]
     monkeypatch.setattr(fitting, "render_rays", short_of_memory(2, fitting.render_rays))
     out, err = fitted(work, capsys, "parts")
-    assert "batches are now worked off in 2 parts" in err and "in 4 parts" in err
+    assert "batches are now split into 2 parts" in err and "into 4 parts" in err
     assert json.loads(out)["figures"]["curve"][-1]["psnr"] == pytest.approx(whole, abs=0.1)
 
 

@@ -396,9 +396,9 @@ def test_remedies_stand_beside_runs_without(folder, runs, capsys):
 def test_remedies_are_options_of_their_stages():
     from stages.configs.deform import DeformConfig
     from stages.configs.fit import FitConfig
-    from stages.configs.stylize import StylizeConfig
+    from stages.configs.stylize import ArfConfig
 
-    plain = FitConfig(), StylizeConfig(style="a.png"), DeformConfig()
+    plain = FitConfig(), ArfConfig(style="a.png"), DeformConfig()
     asked = trials.REMEDIES_OF_FIT, trials.REMEDIES_OF_STYLE, trials.REMEDIES_OF_DEFORM
     for config, remedies in zip(plain, asked, strict=True):
         assert all(getattr(config, name) == 0 < value for name, value in remedies.items())

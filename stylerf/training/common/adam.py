@@ -7,28 +7,30 @@ import numpy as np
 from stylerf.kernels.cpu.adam import adam
 
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
-UNKNOWN = 10  # steps after which it is known how long a gradient usually is
+NORM_STEPS = 10  # steps after which the running norm of the gradients is known well enough to clip at it
 SMOOTH_EVERY = 8  # steps between total variation gradients: they cost a third of a step, and act over hundreds of steps
-SUMMED = 1 << 16  # values whose gradients are summed over the chunks at a time
+SUMMED = 1 << 16  # values whose gradients are summed over the threads at a time
 
 
 class Adam:
-    """Moments and gradient buffers of one array `values`; gradients [chunks, n] are cleared by each step.
+    """Moments and gradient buffers of one array `values`; gradients [threads, n] are cleared by each step.
 
-    clip: over 0, no gradient counts as longer than so many times what is usual, see `clipped`; 0: none is looked at.
+    groups: (begin, end, factor of the learning rate). gradient_clip: see `clipped`; 0: never clip.
     """
 
-    def __init__(self, values: np.ndarray, groups: list[tuple[int, int, float]], chunks: int, clip: float = 0.0):
-        self.values, self.groups, self.chunks, self.clip = values, groups, chunks, clip
-        self.usual = 0.0
-        self.gradients = np.zeros((chunks, len(values)), np.float32)
+    def __init__(
+        self, values: np.ndarray, groups: list[tuple[int, int, float]], threads: int, gradient_clip: float = 0.0
+    ) -> None:
+        self.values, self.groups, self.threads, self.gradient_clip = values, groups, threads, gradient_clip
+        self.running_norm = 0.0
+        self.gradients = np.zeros((threads, len(values)), np.float32)
         self.first, self.second = np.zeros_like(values), np.zeros_like(values)
         self.steps = 0
 
     def step(self, rate: float) -> None:
-        """One update with learning rate `rate` times each group's factor."""
-        if self.clip > 0:
-            self.usual = clipped(self.gradients, self.clip, self.usual, self.steps)
+        """Take one step with learning rate `rate` times each group's factor."""
+        if self.gradient_clip > 0:
+            self.running_norm = clipped(self.gradients, self.gradient_clip, self.running_norm, self.steps)
         self.steps += 1
         corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
         for begin, end, factor in self.groups:
@@ -44,44 +46,51 @@ class Adam:
                 *corrections,
                 begin,
                 end,
-                self.chunks,
+                self.threads,
             )
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a checkpoint needs beside the values."""
-        return {"first": self.first, "second": self.second, "steps": np.asarray([self.steps, self.usual], np.float64)}
+        """Arrays of a checkpoint, beside the values."""
+        steps = np.asarray([self.steps, self.running_norm], np.float64)
+        return {"first": self.first, "second": self.second, "steps": steps}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays()."""
         self.first[:], self.second[:] = arrays["first"], arrays["second"]
         self.steps = int(arrays["steps"][0])
-        self.usual = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
+        self.running_norm = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
 
 
-def clipped(gradients: np.ndarray, clip: float, usual: float, steps: int) -> float:
-    """Shortens the sum over chunks of gradients [chunks, n], in place, to `clip` times the usual length; the new usual.
+def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, steps: int) -> float:
+    """Clip the sum over threads of gradients [threads, n], in place, at `gradient_clip` times its running norm.
 
-    usual: of the first UNKNOWN steps the plain mean of the lengths, of which none is shortened: a network whose last
-    layer begins at zero has next to no gradient at first. Then a running mean (9 parts of 10 the past) of the lengths
-    after clipping. Gradients of nothing but zeros tell nothing. One that is not finite counts as none: one ray of NaN
-    would otherwise stay in the moments for good. steps: taken before.
+    In the first NORM_STEPS steps the running norm is the plain mean of the norms, and nothing is clipped: a network
+    whose last layer starts at zero has almost no gradient at first. Later it is a running mean (decay 0.9) of the
+    clipped norms. All-zero gradients do not count. Gradients that are not finite are set to zero: one ray of NaN would
+    otherwise stay in the moments for good.
+
+    Args:
+        steps: Steps taken before.
+
+    Returns:
+        The new running norm.
     """
-    length = _length(gradients)
-    if not np.isfinite(length):
+    norm = _norm(gradients)
+    if not np.isfinite(norm):
         gradients[:] = 0
-        return usual
-    if length == 0 or usual == 0:
-        return usual or length
-    if steps < UNKNOWN:
-        return usual + (length - usual) / (steps + 1)
-    if length > clip * usual:
-        gradients *= np.float32(clip * usual / length)
-        length = clip * usual
-    return 0.9 * usual + 0.1 * length
+        return running_norm
+    if norm == 0 or running_norm == 0:
+        return running_norm or norm
+    if steps < NORM_STEPS:
+        return running_norm + (norm - running_norm) / (steps + 1)
+    if norm > gradient_clip * running_norm:
+        gradients *= np.float32(gradient_clip * running_norm / norm)
+        norm = gradient_clip * running_norm
+    return 0.9 * running_norm + 0.1 * norm
 
 
-def _length(gradients: np.ndarray) -> float:
-    """Of the sum over chunks. A part at a time: where memory lacks, half of a step must not have been made."""
+def _norm(gradients: np.ndarray) -> float:
+    """Norm of the sum over threads, in parts: running out of memory must not leave half a step done."""
     squares = 0.0
     for at in range(0, gradients.shape[1], SUMMED):
         squares += float(np.square(gradients[:, at : at + SUMMED].sum(0), dtype=np.float64).sum())

@@ -1,6 +1,6 @@
-"""What goes between host and device without either waiting: a step's sums to the host, chosen numbers to the device.
+"""Transfers between host and device that neither waits for.
 
-A loop never runs more than BEHIND steps ahead of the device, so that its clock is the device's.
+A loop runs at most BEHIND steps ahead of the device, so that its clock is the device's.
 """
 
 from collections.abc import Callable
@@ -11,23 +11,25 @@ import torch
 from torch import Tensor
 
 BEHIND = 8
-Told = TypeVar("Told")
+Result = TypeVar("Result")
 
 
-class AsyncReadback(Generic[Told]):
-    """`width` sums of each of the last steps, on their way from the device.
+class AsyncReadback(Generic[Result]):
+    """Reads `width` sums of each step back from the device, some steps late.
 
-    read: makes of a step's sums, and what was noted of it, what the loop is told; first: told before any has come.
-    in_step: tell at every step what came BEHIND steps ago, not what happens to have come: processes that train together
-    must be told the same.
+    Args:
+        read: Makes the result from a step's sums and its note.
+        first: The result before any step has arrived.
+        in_step: Return the result of exactly BEHIND steps ago, not the newest that has arrived: processes that train
+            together must get the same.
     """
 
     def __init__(
         self,
         device: torch.device,
         width: int,
-        read: Callable[[list[float], Any], Told],
-        first: Told,
+        read: Callable[[list[float], Any], Result],
+        first: Result,
         in_step: bool = False,
     ) -> None:
         on_gpu = device.type == "cuda"
@@ -36,7 +38,7 @@ class AsyncReadback(Generic[Told]):
         self._notes: list[Any] = [None] * BEHIND
         self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
         self._sent, self._read = 0, 0
-        self._tell, self._newest, self._in_step = read, first, in_step
+        self._result_of, self._newest, self._in_step = read, first, in_step
 
     def begin(self) -> Tensor:
         """Sums [width] for the next step, at zero; waits for the step BEHIND steps ago."""
@@ -44,8 +46,8 @@ class AsyncReadback(Generic[Told]):
             self._take(wait=True)
         return self._there[self._sent % BEHIND].zero_()
 
-    def send(self, note: Any) -> Told:
-        """Have the sums of the step brought over; what is known by now."""
+    def send(self, note: Any) -> Result:
+        """Start reading the step's sums back; returns the newest result."""
         place = self._sent % BEHIND
         self._here[place].copy_(self._there[place], non_blocking=True)
         self._notes[place] = note
@@ -56,8 +58,8 @@ class AsyncReadback(Generic[Told]):
             pass
         return self._newest
 
-    def settle(self) -> Told:
-        """Wait for all that was sent; what the last step came to."""
+    def settle(self) -> Result:
+        """Wait for all steps; returns the last step's result."""
         while self._read < self._sent:
             self._take(wait=True)
         return self._newest
@@ -69,12 +71,12 @@ class AsyncReadback(Generic[Told]):
                 self._done[place].synchronize()
             elif not self._done[place].query():
                 return False
-        self._newest = self._tell(self._here[place].tolist(), self._notes[place])
+        self._newest = self._result_of(self._here[place].tolist(), self._notes[place])
         self._read += 1
         return True
 
 
 def sent(array: np.ndarray, device: torch.device) -> Tensor:
-    """The array on the device; a GPU's copy is under way while the host goes on, from memory that waits for it."""
+    """The array on the device. To a GPU, the copy is asynchronous, from pinned memory."""
     there = torch.from_numpy(np.ascontiguousarray(array))
     return there.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else there.to(device)

@@ -1,18 +1,22 @@
-"""What is made for a view and kept for the next time, as long as there is room: the rest is made anew."""
+"""A cache of what is computed for views, bounded in bytes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
 
 
 class BoundedCache(Sequence):
-    """Made when first asked for. The first to come are kept, up to `most` bytes in all, and never given up for others.
+    """Keeps the first items computed, up to `max_bytes` in all; the others are recomputed at each use.
 
-    Views are asked for in an order drawn anew for each round: whichever are kept, as many of them come up.
-    make: of a view, always the same. size: bytes of what it made. count: of views.
+    Views come in a new random order each epoch, so that it does not matter which are kept, and nothing is evicted.
+
+    Args:
+        make: Computes the item of a view, always the same.
+        size: Bytes of an item.
+        count: Number of views.
     """
 
-    def __init__(self, make: Callable[[int], Any], size: Callable[[Any], int], count: int, most: float) -> None:
-        self._make, self._size, self._count, self._left = make, size, count, most
+    def __init__(self, make: Callable[[int], Any], size: Callable[[Any], int], count: int, max_bytes: float) -> None:
+        self._make, self._size, self._count, self._left = make, size, count, max_bytes
         self.kept: dict[int, Any] = {}
 
     def __len__(self) -> int:

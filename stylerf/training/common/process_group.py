@@ -1,7 +1,7 @@
-"""Several processes that train one field: each works on its part of a step's rays, and gradients are summed.
+"""Processes that train one field together: each takes part of a step's rays, and gradients are summed.
 
-Every process draws the whole step's random numbers and takes its own part of the rays, so that together they do what
-one process does with all of them. Decisions depend on sums and on the first process's clock alone: all take the same.
+Every process draws the whole step's random numbers and takes its own rays, so that together they do what one process
+would. Decisions depend only on sums and on the first process's clock, so that all processes decide alike.
 """
 
 import json
@@ -21,26 +21,26 @@ Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
 class ProcessGroup(Protocol):
-    """This process's place among those that train together. first: the one that decides, writes and speaks."""
+    """This process among those that train together. first: whether it decides, writes and prints."""
 
     count: int
     place: int
     first: bool
 
     def own(self, count: int) -> slice:
-        """This process's part of `count` rays: one after another, in the order of the processes."""
+        """This process's part of `count` rays, contiguous, in the order of the processes."""
 
     def add(self, values: np.ndarray) -> None:
-        """Puts the sum over all processes in the place of values (numpy, or torch on any device), alike everywhere."""
+        """Replace values (numpy, or torch on any device) by their sum over all processes."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
-        """Buffers [chunks, n] of all processes, summed into the first row; the others are cleared."""
+        """Sum the buffers [threads, n] of all processes into the first row, and clear the others."""
 
     def of_first(self, value: float) -> float:
         """The first process's value."""
 
     def take_first(self, values: np.ndarray) -> None:
-        """Puts the first process's values in the place of these."""
+        """Replace values by the first process's."""
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         """The first process's checkpoint."""
@@ -49,14 +49,14 @@ class ProcessGroup(Protocol):
         """The first process's text; the others' own is ignored."""
 
     def tell_fault(self, line: str) -> None:
-        """Leaves this process's fault for the first one to report."""
+        """Leave this process's fault for the first one to report."""
 
     def leave(self) -> None:
-        """Nothing more is to be done together."""
+        """Leave the group."""
 
 
 class SingleProcess:
-    """One process: its part is the whole, its sums are its own."""
+    """A single process."""
 
     count, place, first = 1, 0, True
 
@@ -87,10 +87,14 @@ ALONE = SingleProcess()
 
 
 class DistributedProcesses:
-    """Processes joined by torch.distributed, under the addresses that torchrun leaves in the environment.
+    """Processes joined by torch.distributed, at the address that torchrun sets in the environment.
 
-    device: `cpu` (gloo) or `cuda` (gloo for what is in memory, NCCL for what is on GPUs, one a process); anything else
-    says why this process has neither. InvalidValue, in every process, unless all have the same.
+    Args:
+        device: cpu (gloo) or cuda (gloo for host memory, NCCL for GPUs, one per process); anything else says why this
+            process has neither.
+
+    Raises:
+        InvalidValue: In every process, unless all have the same device.
     """
 
     def __init__(self, device: str = "cpu") -> None:
@@ -98,7 +102,7 @@ class DistributedProcesses:
         from torch import distributed
 
         self._torch, self._distributed = torch, distributed
-        # The store outlives the processes under torchrun: a fault can be told through it.
+        # Under torchrun, the store outlives the processes: faults are reported through it.
         self._store, self.place, self.count = next(iter(distributed.rendezvous("env://")))
         self.first = self.place == 0
         self._try(self._compare, self._taken(device))
@@ -108,7 +112,7 @@ class DistributedProcesses:
         self._try(distributed.init_process_group, backend, **settings)
 
     def _taken(self, device: str) -> str:
-        """`device`, this process's own GPU made the one that it uses; or why it cannot be used."""
+        """Select this process's GPU; returns `device`, or why it cannot be used."""
         if device == "cuda":
             try:
                 self._torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
@@ -117,7 +121,7 @@ class DistributedProcesses:
         return device
 
     def _compare(self, device: str) -> None:
-        """Through the store, since processes with unlike devices could not even join."""
+        """Compare devices through the store, since processes with different devices cannot even join."""
         self._store.set_timeout(LONGEST_WAIT)
         self._store.set(f"stylerf device {self.place}", device)
         found = [self._store.get(f"stylerf device {place}").decode() for place in range(self.count)]
@@ -126,22 +130,22 @@ class DistributedProcesses:
         self._await_readers()
         if len(set(found)) == 1:
             raise InvalidValue(device)
-        told = "; ".join(f"process {found.index(one)}: {one}" for one in dict.fromkeys(found))
-        raise InvalidValue(f"processes that train together need devices of one kind, found {told}")
+        listed = "; ".join(f"process {found.index(one)}: {one}" for one in dict.fromkeys(found))
+        raise InvalidValue(f"processes that train together need devices of one kind, found {listed}")
 
     def _await_readers(self) -> None:
-        """Of what was found: all end now, and the first process may hold the store that the others read it from."""
+        """Wait until all have read the result: all exit now, and the first process may host the store."""
         self._store.set(f"stylerf read {self.place}", "")
         if self.place == 0:
-            with suppress(RuntimeError):  # one that has died meanwhile reads no more
+            with suppress(RuntimeError):  # a process that died reads no more
                 self._store.wait([f"stylerf read {place}" for place in range(self.count)], READING_WAIT)
 
     def _try(self, collective: Callable, *arguments: Any, **more: Any) -> None:
         try:
             collective(*arguments, **more)
-        except RuntimeError as error:  # of gloo, NCCL and the store alike: a connection closed
+        except RuntimeError as error:  # gloo, NCCL and the store: a connection closed
             self._abort()
-            raise ProcessLost(self._told_fault()) from error
+            raise ProcessLost(self._reported_fault()) from error
 
     def own(self, count: int) -> slice:
         return slice(self.place * count // self.count, (self.place + 1) * count // self.count)
@@ -150,25 +154,25 @@ class DistributedProcesses:
         self._try(self._distributed.all_reduce, self._torch.as_tensor(values))
 
     def add_gradients(self, buffers: np.ndarray) -> None:
-        for chunk in buffers[1:]:  # in the order in which one process adds them
-            buffers[0] += chunk
+        for buffer in buffers[1:]:  # in the order in which a single process adds them
+            buffers[0] += buffer
         buffers[1:] = 0
         self.add(buffers[0])
 
     def of_first(self, value: float) -> float:
-        told = np.array([value])
-        self.take_first(told)
-        return float(told[0])
+        received = np.array([value])
+        self.take_first(received)
+        return float(received[0])
 
     def take_first(self, values: np.ndarray) -> None:
         self._try(self._distributed.broadcast, self._torch.as_tensor(values), 0)
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         data, arrays = saved or (None, {})
-        listed = [[name, array.dtype.str, array.shape] for name, array in arrays.items()]
-        data, listed = json.loads(self.tell(json.dumps([data, listed])))
+        listing = [[name, array.dtype.str, array.shape] for name, array in arrays.items()]
+        data, listing = json.loads(self.tell(json.dumps([data, listing])))
         if not self.first:
-            arrays = {name: np.empty(shape, dtype) for name, dtype, shape in listed}
+            arrays = {name: np.empty(shape, dtype) for name, dtype, shape in listing}
         for name, array in arrays.items():
             arrays[name] = np.ascontiguousarray(array)
             self.take_first(arrays[name].reshape(-1).view(np.uint8))
@@ -178,13 +182,13 @@ class DistributedProcesses:
         self._distributed.destroy_process_group()
 
     def _abort(self) -> None:
-        """Ends sums under way: a GPU would wait for a lost process's part before anything else is done there."""
+        """Abort pending sums: a GPU would wait for the lost process before doing anything else."""
         if self._distributed.is_initialized() and self._on_gpus:
             with suppress(RuntimeError):
                 self._distributed.group.WORLD._get_backend(self._torch.device("cuda")).abort()
 
     def tell(self, text: str = "") -> str:
-        """The first process's text; the others' own is not looked at."""
+        """The first process's text; the others' is ignored."""
         content = np.frombuffer(text.encode(), np.uint8).copy() if self.first else None
         length = int(self.of_first(len(content) if self.first else 0))
         content = content if self.first else np.empty(length, np.uint8)
@@ -192,13 +196,13 @@ class DistributedProcesses:
         return content.tobytes().decode()
 
     def tell_fault(self, line: str) -> None:
-        """Leaves this process's fault for the first one to tell, unless another was before it."""
+        """Leave this process's fault for the first one to report, unless another came before."""
         try:
             self._store.compare_set("stylerf fault", "", f"process {self.place}: {line}")
         except RuntimeError:  # the first process hosted the store, and is gone
             return
 
-    def _told_fault(self) -> str:
+    def _reported_fault(self) -> str:
         try:
             if self._store.check(["stylerf fault"]):
                 return self._store.get("stylerf fault").decode()

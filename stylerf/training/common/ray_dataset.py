@@ -1,4 +1,4 @@
-"""The training set as the loop sees it: random rays with their target colors."""
+"""The training set: random rays with their target colors."""
 
 import math
 from collections.abc import Iterator
@@ -11,31 +11,31 @@ from stylerf.kernels.cpu.pixel_rays import gather
 from stylerf.srgb import codes_at
 from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels
 
-HIDDEN = 0.5  # alpha up to which a photo of a closed space hides what lies there
+HIDDEN = 0.5  # alpha up to which a photo of a capture is masked
 
 
 def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Straight rgba [n, 4] that rays of a closed space are to learn, opaque, of what its photos have there.
+    """Opaque targets [n, 4] for rays of a field with an opaque background, from photos' straight rgba [n, 4].
 
-    Nothing of such a space is transparent: a mask hides a passer-by. There it is what was found [n, 3], which teaches
-    nothing.
+    Nothing there is transparent: a mask hides a passer-by. Under it the target is what was rendered, `found` [n, 3],
+    which teaches nothing.
     """
     rgb = np.where(colors[:, 3:] > HIDDEN, colors[:, :3], found)
     return np.concatenate([rgb, np.ones_like(colors[:, 3:])], 1)
 
 
 def shown_rays(origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Those of a closed space's rays [n] that photos show, opaque; all, where they show none."""
+    """The rays [n] that are not masked, made opaque; all if every one is masked."""
     shown = colors[:, 3] > HIDDEN
     shown = shown if shown.any() else np.ones_like(shown)
     return origins[shown], directions[shown], unhidden(colors[shown], np.zeros((int(shown.sum()), 3), np.float32))
 
 
 class RayDataset:
-    """8-bit photos and their cameras; rays are made when asked for, and none is ever stored.
+    """8-bit photos and their cameras; rays are computed when drawn, and never stored.
 
-    photos: uint8 [h, w, 3 or 4] (straight alpha) of every camera, of any sizes, all with as many channels; or the same
-    as Pixels, whose bytes need not be in memory. What is drawn does not depend on where they are.
+    photos: uint8 [h, w, 3 or 4] (straight alpha) per camera, of any sizes and equal channels; or Pixels, whose bytes
+    need not be in memory. What is drawn does not depend on where they are.
     """
 
     def __init__(self, cameras: list[Camera], photos: list[np.ndarray] | Pixels) -> None:
@@ -55,11 +55,11 @@ class RayDataset:
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
         self.codes = codes_at(np.zeros(len(cameras)))
-        # Fully transparent pixels away from any object teach little: they are drawn less often.
+        # Fully transparent pixels far from any object teach little: they are drawn less often.
         self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
 
     def alphas(self) -> Iterator[np.ndarray]:
-        """Straight alpha [h, w] uint8 of every view in turn, where there are four channels."""
+        """Straight alpha [h, w] uint8 of every view in turn; the photos have four channels."""
         for camera, start, size in zip(self.cameras, self.starts, self.sizes):
             rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
             yield rgba[..., 3].copy()
@@ -69,7 +69,7 @@ class RayDataset:
         return int(self._ends[-1])
 
     def expose(self, stops: np.ndarray) -> None:
-        """Bring photos that are overexposed by stops [views] to one exposure."""
+        """Correct photos that are overexposed by stops [views] to one exposure."""
         self.codes = codes_at(stops)
 
     def draw(
@@ -80,9 +80,10 @@ class RayDataset:
         lit_share: float = 0.9,
         part: slice = slice(None),
     ):
-        """`count` random rays of the first `among` views, of them those of `part`: the rest is drawn, but not made.
+        """Draw `count` random rays of the first `among` views, and compute those of `part`.
 
-        Gives origins, directions [n, 3], colors [n, 4], views [n].
+        Returns:
+            origins, directions [n, 3], colors [n, 4], views [n].
         """
         views, pixels = self.choose(count, generator, among, lit_share, part)
         return *self.at(views, pixels), views
@@ -95,7 +96,7 @@ class RayDataset:
         lit_share: float = 0.9,
         part: slice = slice(None),
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(views, row-major pixels) [n] of the rays that draw() makes."""
+        """(views, row-major pixels) [n] of the rays of draw()."""
         total = len(self) if among is None else int(self._ends[among - 1])
         index = generator.integers(0, total, count)
         if self.lit is not None and lit_share > 0:
@@ -108,7 +109,7 @@ class RayDataset:
         return views, index - (self._ends[views] - self.sizes[views])
 
     def at(self, views: np.ndarray, pixels: np.ndarray):
-        """Rays and colors of given pixels: (origins, directions [n, 3], colors [n, 4])."""
+        """Rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colors = np.empty((n, 4), np.float32)

@@ -13,11 +13,11 @@ from stylerf.kernels.gpu import launch, launch_edit
 from stylerf.training.common.pixels import STRETCH
 from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
 
-AT_ONCE = 1 << 22  # bytes of photos, or numbers of pixels, on their way to the device
+AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the device
 
 
 def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
-    """As training/common/ray_dataset.py's unhidden; out [n, 5]: what the rays came back with, over a background."""
+    """ray_dataset.unhidden, from rendered rays `out` [n, 5] over a background."""
     found = out[:, :3] + (1 - out[:, 3:4]) * background
     rgb = torch.where(wanted[:, 3:] > HIDDEN, wanted[:, :3], found)
     return torch.cat([rgb, torch.ones_like(wanted[:, 3:])], 1)
@@ -25,7 +25,7 @@ def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
 
 @dataclass
 class RayBatch:
-    """rays; wanted [n, 4]: straight rgba 0..1; background [n, 3]."""
+    """Rays, their target straight rgba `wanted` [n, 4] in 0..1, and background [n, 3]."""
 
     rays: GpuRays
     wanted: Tensor
@@ -33,52 +33,52 @@ class RayBatch:
 
 
 class GpuRayDataset:
-    """bank: photos and cameras, copied to the device once, a byte a channel."""
+    """dataset: photos and cameras, copied to the device once, a byte a channel."""
 
-    def __init__(self, bank: RayDataset, device: torch.device) -> None:
-        if len(bank) >= 2**31:
-            raise InvalidValue(f"{len(bank)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
-        self.device, self.channels, self.views = device, bank.channels, len(bank.cameras)
-        self.ends = np.cumsum(bank.sizes)
-        self.bytes, self.lit = self._photos(bank), self._near_objects(bank)
-        self.widths, self.view_ends = self._copy(bank.widths), self._copy(self.ends)
-        self.view_sizes = self._copy(bank.sizes)
-        self.intrinsics, self.poses = self._copy(bank.intrinsics), self._copy(bank.poses)
-        self.codes = self._copy(bank.codes)
-        self._host = bank
+    def __init__(self, dataset: RayDataset, device: torch.device) -> None:
+        if len(dataset) >= 2**31:
+            raise InvalidValue(f"{len(dataset)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
+        self.device, self.channels, self.views = device, dataset.channels, len(dataset.cameras)
+        self.ends = np.cumsum(dataset.sizes)
+        self.bytes, self.lit = self._photos(dataset), self._near_objects(dataset)
+        self.widths, self.view_ends = self._copy(dataset.widths), self._copy(self.ends)
+        self.view_sizes = self._copy(dataset.sizes)
+        self.intrinsics, self.poses = self._copy(dataset.intrinsics), self._copy(dataset.poses)
+        self.codes = self._copy(dataset.codes)
+        self._host = dataset
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def _photos(self, bank: RayDataset) -> Tensor:
-        """The bank's bytes, brought over little by little: where they are mapped from a file, never all in memory."""
-        there = torch.empty(len(bank.bytes), dtype=torch.uint8, device=self.device)
+    def _photos(self, dataset: RayDataset) -> Tensor:
+        """Copy the bytes in parts: those mapped from a file are never all in memory."""
+        there = torch.empty(len(dataset.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
-            part = bank.bytes[at : at + AT_ONCE].copy()
-            bank.read(math.ceil(len(part) / STRETCH))
+            part = dataset.bytes[at : at + AT_ONCE].copy()
+            dataset.read(math.ceil(len(part) / STRETCH))
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
-    def _near_objects(self, bank: RayDataset) -> Tensor:
-        """The pixels worth more, int32, one by one: the device draws from them; the bank keeps them as runs."""
-        count = 0 if bank.lit is None else bank.lit.below(len(bank))
+    def _near_objects(self, dataset: RayDataset) -> Tensor:
+        """The pixels near objects as an int32 list, which the device draws from; the dataset stores runs."""
+        count = 0 if dataset.lit is None else dataset.lit.below(len(dataset))
         there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
         for at in range(0, count, AT_ONCE):
-            part = bank.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
+            part = dataset.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
     def follow_exposure(self) -> None:
-        """Take the codes that the bank on the host has now."""
+        """Copy the host dataset's present exposure."""
         self.codes = self._copy(self._host.codes)
 
     def draw(
         self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
     ) -> RayBatch:
-        """Rays `first` to `first + count` of the batch of `batch` random rays that `seed` names, of `among` views.
+        """Draw rays `first` to `first + count` of the seed's batch of `batch` random rays, of the first `among` views.
 
-        lit_share: part of the batch that goes through pixels near something opaque. level: gray of the background;
-        None: random colors.
+        lit_share: Fraction of the batch through pixels near something opaque. level: Gray of the background; None:
+        random colors.
         """
         total = int(self.ends[among - 1])
         most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
@@ -91,11 +91,11 @@ class GpuRayDataset:
         return RayBatch(GpuRays(origins, directions, jitter), wanted, background)
 
     def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
-        """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, numbered as number_of tells; jitter [n]."""
+        """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""
         origins, directions, wanted = launch_edit.rays_of_pixels(self, chosen)
         return GpuRays(origins, directions, jitter), wanted
 
     def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """[n] int64: the numbers of row-major pixels of views, all views laid end to end."""
+        """Indices [n] int64 of row-major pixels of views, all views laid end to end."""
         begins = np.concatenate([[0], self.ends[:-1]])
         return begins[views] + pixels

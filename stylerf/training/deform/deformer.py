@@ -1,7 +1,7 @@
-"""Learns a deformation through the grid that it is baked to (DeSRF, section 3.2).
+"""Train a deformation through the grid that it is baked to (DeSRF, section 3.2).
 
-Rays read a grid of displacements; gradients come back to the grid's vertices, and from there through the network. Only
-vertices near something are asked: the network is evaluated some tens of thousands of times a step, not once a sample.
+Rays read a grid of displacements; gradients go to the grid's vertices, and from there through the network. Only
+vertices near something matter: the network is evaluated some tens of thousands of times per step, not per sample.
 """
 
 import numpy as np
@@ -24,16 +24,16 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.training.common.adam import Adam
 
-REFRESH_EVERY = 16  # steps between looks at what the deformation has moved where
-SIGHT_RAYS = 1 << 17  # rays that find out which vertices are seen
+REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
+SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
 
 
 class Deformer:
-    """Brings `field` to rest, gives it a displacement grid of `vertices`^3 that follows `deformation`, and teaches it.
+    """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
-    The network is asked at the vertices around what the cameras see of the field at rest; every other vertex moves as
-    the nearest of these. clip: of the network's gradients, see Adam. gradients [chunks, 3 vertices^3]: where backward()
-    adds dL/dD.
+    The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
+    as the nearest of these. gradient_clip: of the network, see Adam. gradients [threads, 3 vertices^3]: where
+    backward() adds dL/dD.
     """
 
     def __init__(
@@ -43,16 +43,16 @@ class Deformer:
         cameras: list[Camera],
         vertices: int,
         seed: int,
-        chunks: int,
-        clip: float = 0.0,
+        threads: int,
+        gradient_clip: float = 0.0,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
-        self.clip = clip
+        self.gradient_clip = gradient_clip
         self.taken = 0
         at_rest(field)
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
-        self.rest = occupancy_of_seen(field, rays, chunks)  # of the field at rest
-        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, chunks))
+        self.rest = occupancy_of_seen(field, rays, threads)  # of the field at rest
+        active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, threads))
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
@@ -60,67 +60,66 @@ class Deformer:
         self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
         self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
         field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
-        self._prepare(chunks)
+        self._prepare(threads)
         self.bake()
         self.look()
 
-    # -- where it is worked out: here by the CPU's kernels; elsewhere see training/deform/deformer_gpu.py
-    # ---------------
+    # -- on the CPU; deformer_gpu.py overrides these ----------------------------------------------------------------
 
     def _there(self, tensor: Tensor) -> Tensor:
-        """A tensor of the host's where the network works."""
+        """A host tensor on the network's device."""
         return tensor
 
-    def _prepare(self, chunks: int) -> None:
-        """Buffers and the optimizer; the field has its grid."""
-        self.gradients = np.zeros((chunks, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.clip)
+    def _prepare(self, threads: int) -> None:
+        """Create buffers and optimizer; the field has its grid."""
+        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
 
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""
         return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
 
     def _write(self, moved: Tensor) -> None:
-        """D [vertices^3, 3] to the grid that rays read."""
+        """Write D [vertices^3, 3] to the grid that rays read."""
         self.field.displacement.reshape(-1, 3)[:] = moved.numpy()
 
     def look(self) -> None:
-        """Find anew where the deformed field is occupied."""
-        # What has left the numbers the next loss tells.
+        """Update the occupancy of the deformed field."""
+        # The next loss reports values that are not finite.
         if not np.isfinite(self.field.displacement).all():
             return
         self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
 
     def _place(self, distances: np.ndarray) -> None:
-        """The deformed field's occupancy as a checkpoint has it."""
+        """Restore the deformed field's occupancy from a checkpoint."""
         self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
         self.field.occupancy.distances = distances.copy()
 
-    def _told(self, size: Tensor) -> float:
+    def _number(self, size: Tensor) -> float:
         """A number of this step."""
         return float(size)
 
     def collect(self) -> None:
-        """Bring what was learned into `deformation` and `field`."""
+        """Copy what was learned into `deformation` and `field`."""
 
-    # -- what is worked out -----------------------------------------------------------------------------------------
+    # -- training -----------------------------------------------------------------------------------------
 
     def bake(self) -> None:
-        """Write the present deformation into the grid that rays read."""
+        """Evaluate the network and write the grid that rays read."""
         self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
-        self._live = self.deformation.network(self._encoded, self._values)
-        self._write(self._live.detach()[self._nearest])
+        self._moved = self.deformation.network(self._encoded, self._values)
+        self._write(self._moved.detach()[self._nearest])
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
-        """One step down dL/dD plus weight |D| plus smoothness TV(D); the root mean square of D, in the network's units.
+        """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
 
-        |D|: root of the mean squared displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
+        |D|: root mean square displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
-        gradient = torch.zeros_like(self._live).index_add_(0, self._nearest, self._gathered())
+        gradient = torch.zeros_like(self._moved).index_add_(0, self._nearest, self._gathered())
         self.gradients[:] = 0
-        size = (2 * self._live).square().sum(1).mean().add(1e-12).sqrt()
-        loss = (self._live * gradient).sum() + weight * size
+        size = (2 * self._moved).square().sum(1).mean().add(1e-12).sqrt()
+        loss = (self._moved * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
         (found,) = torch.autograd.grad(loss, self._values)
@@ -130,22 +129,22 @@ class Deformer:
         self.bake()
         if self.taken % REFRESH_EVERY == 0:
             self.look()
-        return self._told(size.detach())
+        return self._number(size.detach())
 
     def _variation(self) -> Tensor:
-        m, live = self.vertices, 2 * self._live
-        grid, total = live[self._nearest].view(m, m, m, 3), live.new_zeros(())
+        m, moved = self.vertices, 2 * self._moved
+        grid, total = moved[self._nearest].view(m, m, m, 3), moved.new_zeros(())
         for axis, both in enumerate(self._pairs):
             total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
-        return total / len(live)
+        return total / len(moved)
 
     def values(self) -> np.ndarray:
-        """A copy of the network's weights as they stand."""
+        """A copy of the network's present weights."""
         self.collect()
         return self.deformation.values.copy()
 
     def take(self, values: np.ndarray) -> None:
-        """The deformation of the weights `values` from now on; the optimizer's past stays."""
+        """Set the network's weights; the optimizer's moments stay."""
         self._set(values)
         self.look()
         self.collect()
@@ -173,7 +172,7 @@ class Deformer:
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
-    """For each axis, which neighbors along it are both among the vertices that the network is asked at."""
+    """For each axis, which neighbors along it are both evaluated by the network."""
     own = torch.zeros(vertices**3, dtype=torch.bool)
     own[torch.from_numpy(active)] = True
     own = own.view((vertices,) * 3)
@@ -181,7 +180,7 @@ def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
 
 
 def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:
-    """About `count` rays through random pixels, as many of each camera."""
+    """About `count` rays through random pixels, equally many per camera."""
     origins, directions = [], []
     for camera in cameras:
         pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))

@@ -1,4 +1,4 @@
-"""A deformation learned on a GPU: network, grid, gradients, moments and occupancy stay there."""
+"""Train a deformation on a GPU: network, grid, gradients, moments and occupancy stay there."""
 
 import math
 
@@ -26,7 +26,7 @@ LIMIT = 512  # samples on a ray
 
 
 class GpuDeformer(Deformer):
-    """training/deform/deformer.py's Deformer. live: the deforming field on the device, which rays are walked through.
+    """Deformer on a GPU. device_field: the deforming field there, through which rays are marched.
 
     What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
     collect() alone. gradients: flat [3 vertices^3].
@@ -34,28 +34,29 @@ class GpuDeformer(Deformer):
 
     def __init__(
         self,
-        device: torch.device,
         field: RadianceField,
         deformation: Deformation,
         cameras: list[Camera],
         vertices: int,
         seed: int,
-        chunks: int,
-        clip: float = 0.0,
+        threads: int,
+        gradient_clip: float = 0.0,
+        *,
+        device: torch.device,
     ) -> None:
         self.device = device
-        super().__init__(field, deformation, cameras, vertices, seed, chunks, clip)
+        super().__init__(field, deformation, cameras, vertices, seed, threads, gradient_clip)
         self.collect()
 
     def _there(self, tensor: Tensor) -> Tensor:
         return tensor.to(self.device)
 
-    def _prepare(self, chunks: int) -> None:
-        self.live = GpuField(self.field, self.device)
+    def _prepare(self, threads: int) -> None:
+        self.device_field = GpuField(self.field, self.device)
         self._at_rest = self._there(torch.from_numpy(self.rest.distances))
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
-        self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.clip)
+        self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.gradient_clip)
         self._sizes, self._brought = self._no_sizes(), None
 
     def _no_sizes(self) -> AsyncReadback:
@@ -69,47 +70,47 @@ class GpuDeformer(Deformer):
         return self.gradients.view(-1, 3)
 
     def _write(self, moved: Tensor) -> None:
-        self.live.displacement.view(-1, 3).copy_(moved)
+        self.device_field.displacement.view(-1, 3).copy_(moved)
 
     def look(self) -> None:
-        cells, live = self.rest.cells, self.live
+        cells, field = self.rest.cells, self.device_field
         reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
-        live.distances = distances_to(
-            displaced_cells(self._at_rest, cells, reach, live.displacement, live.vertices)
+        field.distances = distances_to(
+            displaced_cells(self._at_rest, cells, reach, field.displacement, field.vertices)
         ).flatten()
 
     def _place(self, distances: np.ndarray) -> None:
-        # As look() tells them: a device and the CPU write checkpoints for each other.
-        self.live.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
+        # As in look(): GPU and CPU resume each other's checkpoints.
+        self.device_field.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
         self.collect()
 
-    def _told(self, size: Tensor) -> float:
+    def _number(self, size: Tensor) -> float:
         self._sizes.begin().copy_(size)
         return self._sizes.send(None)
 
     def collect(self) -> None:
         self.deformation.values[:] = self.adam.values.cpu().numpy()
-        self.field.displacement.reshape(-1)[:] = self.live.displacement.cpu().numpy()
-        if self._brought is not self.live.distances:  # the distances of a fine grid take a while
+        self.field.displacement.reshape(-1)[:] = self.device_field.displacement.cpu().numpy()
+        if self._brought is not self.device_field.distances:  # the distances of a fine grid take a while
             self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
-            self.field.occupancy.set_occupied(self.live.distances.cpu().numpy() == 0)
-            self._brought = self.live.distances
+            self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)
+            self._brought = self.device_field.distances
 
 
 class GpuPhotoError:
-    """training/deform/fitter.py's PhotoError of a DeviceDeformer. Its error is told a few steps late."""
+    """PhotoError of a GpuDeformer. learn() returns the error of some steps before; `threads` is unused."""
 
-    def __init__(self, deformer: GpuDeformer, background: float, share: float) -> None:
-        self.deformer, self.background, self.share = deformer, background, share
+    def __init__(self, deformer: GpuDeformer, background: float, weight_threshold: float, threads: int) -> None:
+        self.deformer, self.background, self.weight_threshold = deformer, background, weight_threshold
         self._reports = AsyncReadback(deformer.device, 3, _mean_error, 0.0)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
-        """Mean squared difference of rays, marched from the middle of their first step, from straight rgba [n, 4]."""
-        device, total = self.deformer.device, 0.0
+        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
+        device, field, total = self.deformer.device, self.deformer.device_field, 0.0
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
             rays = GpuRays.of(origins[part], directions[part], device)
-            out = self.deformer.live.render_rays(rays, weight_threshold=self.share, samples_per_ray=LIMIT).out
+            out = field.render_rays(rays, weight_threshold=self.weight_threshold, samples_per_ray=LIMIT).out
             wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * self.background
@@ -118,17 +119,17 @@ class GpuPhotoError:
         return total / (3 * len(origins))
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
-        """Add dL/dD of their mean squared difference to the deformer's gradients; the difference itself."""
-        device, live, n = self.deformer.device, self.deformer.live, len(origins)
+        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
+        device, field, n = self.deformer.device, self.deformer.device_field, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
-        room = min(n * LIMIT, MOST_SAMPLES)
-        rendered = live.render_rays(rays, room=room, weight_threshold=self.share, samples_per_ray=LIMIT)
+        room, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold
+        rendered = field.render_rays(rays, room=room, weight_threshold=threshold, samples_per_ray=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)
-        if live.opaque_background:
+        if field.opaque_background:
             wanted = unhidden(wanted, rendered.out, background)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
-        live.backward(rendered, gradients, None, None, self.deformer.gradients)
+        field.backward(rendered, gradients, None, None, self.deformer.gradients)
         return self._reports.send(n)
 
 

@@ -1,7 +1,6 @@
-"""What learning an edit asks of whatever holds its palette module: features of a view's pixels, and optimizers.
+"""The engine of a local edit, on the CPU (engine_gpu.py: on a GPU).
 
-The loop (stylerf/training/edit/trainer.py) decides which pixels and what their loss is; an engine holds the numbers, on
-the CPU (here) or on a GPU (stylerf/training/edit/engine_gpu.py). Losses are torch's, wherever their tensors lie.
+The loop in trainer.py chooses pixels and computes losses with torch; an engine holds the module and takes the step.
 """
 
 from typing import Any, Protocol
@@ -17,37 +16,38 @@ from stylerf.training.common.adam import Adam
 
 
 class EditEngine(Protocol):
-    """device: where tensors lie. kept: numbers of the active colors there, or None. asked: answers as the module does
-    as it now stands."""
+    """device: of the tensors. kept: indices of the active colors there, or None. evaluator: the present module."""
 
     device: torch.device
     kept: Tensor | None
-    asked: Any
+    evaluator: Any
 
-    def shown(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
-        """Of pixels `rows` [n] of view number `at`, ends moved by jitter [n, 1]: features in a graph whose backward
-        adds to the table's gradients, harmonics of their directions [n, 9], colors of the photo [n, 3]."""
+    def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+        """Features, harmonics [n, 9] and photo colors [n, 3] of pixels `rows` [n] of view `at`.
+
+        Ray ends are moved by jitter [n, 1]. The backward of the features adds to the table's gradients.
+        """
 
     def leaf(self) -> Tensor:
-        """A copy of the module's `values` that gradients are asked of."""
+        """A copy of the module's `values` that requires gradients."""
 
     def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        """Both optimizers, from the gradient of `values` and what shown() has had added."""
+        """Step both optimizers, with the gradients of `values` and of the table."""
 
-    def tell(self, parts: dict[str, Tensor]) -> dict[str, float]:
-        """Parts of a loss as numbers. A GPU's are those of the newest step that it has finished; none at first."""
+    def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
+        """Parts of a loss as numbers. A GPU returns those of the newest step that has finished, none at first."""
 
     def settle(self) -> dict[str, float]:
-        """Those of the last step, waiting for it where need be."""
+        """Wait for the last step; its parts."""
 
     def collect(self) -> None:
-        """Bring what was learned into the module's own arrays."""
+        """Copy what was learned into the module's own arrays."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimizers remember, by name."""
+        """The optimizers' moments, by name."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Go on from the module's arrays as somebody has set them, and from moments()."""
+        """Resume from the module's present arrays and moments()."""
 
 
 def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
@@ -57,32 +57,32 @@ def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
 
 
 class CpuEditEngine:
-    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits."""
 
     device, kept = torch.device("cpu"), None
 
-    def __init__(self, views: list[EditView], module: PaletteModule, chunks: int) -> None:
-        self.views, self.asked = views, module
+    def __init__(self, views: list[EditView], module: PaletteModule, threads: int) -> None:
+        self.views, self.evaluator = views, module
         table = module.encoding.values
-        self.table = Adam(table, [(0, len(table), 1.0)], chunks)
+        self.table = Adam(table, [(0, len(table), 1.0)], threads)
         self.networks = Adam(module.values, groups_of(module), 1)
         self._last: dict[str, float] = {}
 
-    def shown(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+    def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
         view = self.views[at]
-        x = self.asked.local(view.x[rows] + view.along[rows] * jitter)
+        x = self.evaluator.local(view.x[rows] + view.along[rows] * jitter)
         basis = torch.from_numpy(harmonics(view.directions[rows], DEGREE))
-        return self.asked.encoding(x, self.table.gradients), basis, torch.from_numpy(view.target[rows])
+        return self.evaluator.encoding(x, self.table.gradients), basis, torch.from_numpy(view.target[rows])
 
     def leaf(self) -> Tensor:
-        return self.asked.leaf()
+        return self.evaluator.leaf()
 
     def step(self, values: Tensor, rate: float, table_rate: float) -> None:
         self.networks.gradients[0] += values.grad.numpy()
         self.networks.step(rate)
         self.table.step(table_rate)
 
-    def tell(self, parts: dict[str, Tensor]) -> dict[str, float]:
+    def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
         self._last = {name: float(part.detach()) for name, part in parts.items()}
         return self._last
 

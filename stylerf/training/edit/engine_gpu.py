@@ -1,4 +1,4 @@
-"""Learning an edit on a GPU: views, table, networks and moments stay there, pixels are named to it; no step waits."""
+"""The engine of a local edit on a GPU: views, table, networks and moments stay there; no step waits for it."""
 
 import numpy as np
 import torch
@@ -19,62 +19,68 @@ MOST_PARTS = 16  # of a loss
 
 
 class GpuEditEngine:
-    """stylerf/training/edit/engine.py's CpuEdit on `device`: from the same pixels the same, to rounding."""
+    """CpuEditEngine on `device`: equal, to rounding; `threads` is unused."""
 
     def __init__(
-        self, views: list[EditView], module: PaletteModule, device: torch.device | str, memory: float | None = None
+        self,
+        views: list[EditView],
+        module: PaletteModule,
+        threads: int,
+        *,
+        device: torch.device | str,
+        memory: float | None = None,
     ) -> None:
         self.device, self.views = torch.device(device), views
-        self.asked = GpuPaletteModule(module, self.device)
+        self.evaluator = GpuPaletteModule(module, self.device)
         memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
         self._there = BoundedCache(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
-        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda told, names: dict(zip(names, told)), {})
+        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda values, names: dict(zip(names, values)), {})
         self._new_adams()
 
     def _new_adams(self) -> None:
-        self.table = GpuAdam(self.asked.table, [(0, len(self.asked.table), 1.0)])
-        self.networks = GpuAdam(self.asked.networks, groups_of(self.asked.module))
+        self.table = GpuAdam(self.evaluator.table, [(0, len(self.evaluator.table), 1.0)])
+        self.networks = GpuAdam(self.evaluator.networks, groups_of(self.evaluator.module))
 
     @property
     def kept(self) -> Tensor:
-        return self.asked.kept
+        return self.evaluator.kept
 
     def _moved(self, at: int) -> tuple[Tensor, ...]:
         view = self.views[at]
         basis = harmonics(view.directions, DEGREE)
         return tuple(sent(array, self.device) for array in (view.x, view.along, basis, view.target))
 
-    def shown(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+    def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
         x, along, basis, target = self._there[at]
         chosen, moved = sent(rows, self.device), sent(jitter, self.device)
-        local = self.asked.local(x[chosen] + along[chosen] * moved)
-        return self.asked.features(local, self.table.gradients), basis[chosen], target[chosen]
+        local = self.evaluator.local(x[chosen] + along[chosen] * moved)
+        return self.evaluator.features(local, self.table.gradients), basis[chosen], target[chosen]
 
     def leaf(self) -> Tensor:
-        return self.asked.networks.detach().clone().requires_grad_()
+        return self.evaluator.networks.detach().clone().requires_grad_()
 
     def step(self, values: Tensor, rate: float, table_rate: float) -> None:
         self.networks.gradients += values.grad
         self.networks.step(rate)
         self.table.step(table_rate)
 
-    def tell(self, parts: dict[str, Tensor]) -> dict[str, float]:
-        told = self._reports.begin()
-        told[: len(parts)] = torch.stack([part.detach() for part in parts.values()])
+    def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
+        values = self._reports.begin()
+        values[: len(parts)] = torch.stack([part.detach() for part in parts.values()])
         return self._reports.send(tuple(parts))
 
     def settle(self) -> dict[str, float]:
         return self._reports.settle()
 
     def collect(self) -> None:
-        self.asked.collect()
+        self.evaluator.collect()
 
     def moments(self) -> dict[str, np.ndarray]:
         both = ("table", self.table), ("networks", self.networks)
         return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        self.asked.take_up()
+        self.evaluator.take_up()
         self._new_adams()
         for name, adam in (("table", self.table), ("networks", self.networks)):
             adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})

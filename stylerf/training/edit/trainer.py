@@ -1,7 +1,7 @@
-"""Learns a palette module from what the views show of a region, towards a painting where there is one (LAENeRF).
+"""Train the palette module of a region on what the views show of it, with or without a style image (LAENeRF).
 
-Phases: palette (colors and their mixture, by the photos), style (with a painting: the same and the picture losses),
-pruned (colors that hardly anything is made of are gone), done.
+Phases: palette (colors and their mixing, on the photos); style (with a style image: these and the image losses);
+pruned (after colors that hardly contribute are removed); done.
 """
 
 import math
@@ -31,8 +31,8 @@ from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.edit.engine import CpuEditEngine, EditEngine
 
-SAMPLED_COLORS = 20_000  # pixels of the region that a first palette and the painting's colors are taken from
-# Shares of `seconds` that the phases may take.
+SAMPLED_COLORS = 20_000  # pixels of the region that initial palette and mean color are taken from
+# Fractions of `seconds` for the phases.
 TIME = {"recolor": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
 
 
@@ -40,17 +40,21 @@ TIME = {"recolor": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, 
 class EditSettings:
     """How an edit is learned.
 
-    colors: of the palette at first; palette: where they begin, "clusters" or "random" (LAENeRF); of four
-    shaded colors clusters leave these four with L_sp 0.1, random ones six with 0.5. most_colors: kept by
-    pruning at most. *_steps: of each phase. seconds: a bound for all of them, 0 for none; what is learned depends on
-    the clock only where that is reached first. pixels: of a view that a step without a painting learns from. rates: per
-    step, of networks and palette (twice it) and of the table, falling to `final_rate` of themselves. style_side: see
-    RegionStyle. preserve_color: the painting is first given the region's mean color and covariance.
+    Attributes:
+        colors, max_colors: Palette colors at first, and at most after pruning.
+        palette: Initial colors: clusters, or random (LAENeRF). Of four shaded colors, clusters leave these four with
+            L_sp 0.1, random ones six with 0.5.
+        palette_steps, style_steps, pruned_steps, pruned_style_steps: Steps of each phase.
+        seconds: Time limit for all of them, 0 for none; the result depends on the clock only if it is reached.
+        pixels: Pixels per step without a style image.
+        rate, table_rate: Learning rates of networks (palette: twice it) and table, falling to `final_rate`.
+        style_side: See RegionStyle.
+        preserve_color: Give the style image the region's mean color and covariance first.
     """
 
     colors: int = 8
     palette: str = "clusters"
-    most_colors: int = 8
+    max_colors: int = 8
     palette_steps: int = 300
     style_steps: int = 100
     pruned_steps: int = 100
@@ -65,17 +69,16 @@ class EditSettings:
     preserve_color: bool = False
 
     def __post_init__(self) -> None:
-        if not 1 <= self.most_colors <= self.colors <= MOST_COLORS:
-            raise InvalidValue(
-                f"palette: {self.colors} colors (1..{MOST_COLORS}) of which {self.most_colors} may stay"
-            )
+        if not 1 <= self.max_colors <= self.colors <= MOST_COLORS:
+            most = f"at most {self.max_colors} after pruning"
+            raise InvalidValue(f"palette: {self.colors} colors (1..{MOST_COLORS}), {most}")
         if self.palette not in ("clusters", "random"):
-            raise InvalidValue(f"palette: begins as clusters or random, not {self.palette!r}")
+            raise InvalidValue(f"palette: expected clusters or random, not {self.palette!r}")
 
 
 @dataclass
 class EditState:
-    """Where the training stands. seconds: of the present phase; spent: of those before."""
+    """Progress of an edit. seconds: of the present phase; spent: of those before."""
 
     phase: str = "palette"
     step: int = 0
@@ -85,7 +88,7 @@ class EditState:
 
 
 def start_module(views: list[EditView], settings: EditSettings, seed: int) -> PaletteModule:
-    """A module for the region that the views show, its palette as the settings ask."""
+    """A module for the region in the views, with its initial palette."""
     generator = np.random.default_rng([seed, 1])
     box = box_around(np.concatenate([view.x for view in views]))
     if settings.palette == "random":
@@ -96,7 +99,7 @@ def start_module(views: list[EditView], settings: EditSettings, seed: int) -> Pa
 
 
 def sampled_colors(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
-    """[up to SAMPLED_COLORS, 3] what the photos show of the region."""
+    """A sample of the region's colors in the photos, [up to SAMPLED_COLORS, 3]."""
     colors = np.concatenate([view.target for view in views])
     if len(colors) <= SAMPLED_COLORS:
         return colors
@@ -104,8 +107,16 @@ def sampled_colors(views: list[EditView], generator: np.random.Generator) -> np.
 
 
 class EditTrainer:
-    """module: from start_module, taught in place. style: painting [3, h, w], or a crop of it, sRGB 0..1, with a trunk;
-    None recolors. device: of the GPU kernels, where the trunk lies too; None: the CPU's. Both see the same pixels."""
+    """Trains a module in place.
+
+    Args:
+        module: From start_module.
+        style: Style image [3, h, w], or a crop of it, sRGB 0..1, with an extractor; None to recolor.
+        engine: Where it trains, on the extractor's device (training/backends.py). All engines see the same pixels.
+
+    Raises:
+        InvalidValue: No view shows anything of the region.
+    """
 
     def __init__(
         self,
@@ -113,48 +124,42 @@ class EditTrainer:
         module: PaletteModule,
         settings: EditSettings,
         style: Tensor | None,
-        trunk: FeatureExtractor | None,
+        extractor: FeatureExtractor | None,
         seed: int,
-        chunks: int,
-        device: str | None = None,
+        threads: int,
+        engine: Callable[..., EditEngine] = CpuEditEngine,
     ) -> None:
         self.views = [view for view in views if len(view)]
         if not self.views:
             raise InvalidValue("no view shows anything of the region: there is nothing to learn from")
-        if (style is None) != (trunk is None):
-            raise InvalidValue("a painting needs a feature trunk, and a trunk a painting")
-        self._module, self.settings, self.seed, self.chunks = module, settings, seed, chunks
+        if (style is None) != (extractor is None):
+            raise InvalidValue("a style image needs a feature extractor, and an extractor a style image")
+        self._module, self.settings, self.seed, self.threads = module, settings, seed, threads
         self.style: RegionStyle | None = None
         if style is not None:
             if settings.preserve_color:
                 style = in_colors_of(style, sampled_colors(self.views, np.random.default_rng([seed, 6])))
-            self.style = RegionStyle(trunk, style, settings.style_side)
-        self.engine: EditEngine
-        if device is None:
-            self.engine = CpuEditEngine(self.views, module, chunks)
-        else:
-            from stylerf.training.edit.engine_gpu import GpuEditEngine
-
-            self.engine = GpuEditEngine(self.views, module, device)
+            self.style = RegionStyle(extractor, style, settings.style_side)
+        self.engine = engine(self.views, module, threads)
         self.state = EditState()
         self._pictured: dict[int, tuple[Neighbors, Canvas, Tensor]] = {}
         self.between_steps = True
 
     @property
     def module(self) -> PaletteModule:
-        """As it now stands."""
+        """The present module, its arrays up to date."""
         self.engine.collect()
         return self._module
 
     @property
-    def asked(self):
-        """What answers as `module` does, wherever that is learned."""
-        return self.engine.asked
+    def evaluator(self):
+        """The present module, on the engine's device."""
+        return self.engine.evaluator
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
     def _steps(self) -> dict[str, int]:
-        """Of each phase, in order."""
+        """Steps of each phase, in order."""
         s = self.settings
         if self.style is None:
             return {"palette": s.palette_steps, "pruned": s.pruned_steps}
@@ -162,7 +167,7 @@ class EditTrainer:
 
     @property
     def progress(self) -> float:
-        """Done share of the present phase, 0..1."""
+        """Done fraction of the present phase, 0..1."""
         phase, seconds = self.state.phase, self.settings.seconds
         if phase == "done":
             return 1.0
@@ -175,7 +180,7 @@ class EditTrainer:
 
     @property
     def whole_progress(self) -> float:
-        """Done share of all steps, 0..1."""
+        """Done fraction of all steps, 0..1."""
         steps, done = self._steps(), 0.0
         for phase, count in steps.items():
             if phase == self.state.phase:
@@ -184,7 +189,7 @@ class EditTrainer:
         return 1.0
 
     def step(self) -> dict[str, float]:
-        """One view; the parts of the loss."""
+        """Take one step on one view; the parts of the loss."""
         number = list(self._steps()).index(self.state.phase)
         generator = np.random.default_rng([self.seed, 3, number, self.state.step])
         at = self._view_of_step(number)
@@ -192,24 +197,24 @@ class EditTrainer:
         rows = np.arange(len(view))
         if not pictured and len(view) > self.settings.pixels:
             rows = generator.integers(0, len(view), self.settings.pixels)
-        # The ray ends somewhere within what it sees: LAENeRF's jitter.
+        # LAENeRF's jitter: the ray ends anywhere within what it sees.
         jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
-        phi, basis, target = self.engine.shown(at, rows, jitter)
+        phi, basis, target = self.engine.pixels(at, rows, jitter)
         values = self.engine.leaf()
         mixture = self._module.mix(values, phi, basis, self.engine.kept)
         parts = self._of_pixels(mixture, target, self._module.palette_of(values))
         if pictured:
             parts |= self._of_picture(at, mixture.colors, target)
-        # A part of weight 0 is not even asked for its gradient.
+        # Parts of weight 0 are left out of the graph.
         weights = {name: getattr(self.settings.weights, name) for name in parts}
         parts = {name: part for name, part in parts.items() if weights[name]}
         sum(weights[name] * part for name, part in parts.items()).backward()
-        falling = self.settings.final_rate**self.whole_progress
-        self.engine.step(values, self.settings.rate * falling, self.settings.table_rate * falling)
-        return self.engine.tell(parts)
+        decay = self.settings.final_rate**self.whole_progress
+        self.engine.step(values, self.settings.rate * decay, self.settings.table_rate * decay)
+        return self.engine.report(parts)
 
     def _view_of_step(self, number: int) -> int:
-        """Every view once an epoch, in an order drawn anew for each."""
+        """The step's view: each once per epoch, in a new order each time."""
         epoch, at = divmod(self.state.step, len(self.views))
         return int(np.random.default_rng([self.seed, 2, number, epoch]).permutation(len(self.views))[at])
 
@@ -245,10 +250,10 @@ class EditTrainer:
     # -- the loop ---------------------------------------------------------------------------------------------------
 
     def run(self, on_step: Callable[["EditTrainer"], None] = lambda trainer: None) -> None:
-        """All phases; on_step is told after every step."""
+        """Run all phases, calling on_step after every step."""
         state = self.state
         while state.phase != "done":
-            # A process's first step of a phase compiles: its time would lower the rates of all that follow.
+            # A process's first step of a phase compiles; counting its time would lower the rates of all that follow.
             timed = False
             while self.progress < 1.0:
                 begun, self.between_steps = time.perf_counter(), False
@@ -268,32 +273,32 @@ class EditTrainer:
     def _refuse_nan(self, parts: dict[str, float]) -> None:
         if not all(math.isfinite(value) for value in parts.values()):
             state = self.state
-            raise Diverged(f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})")
+            raise Diverged(f"{state.phase} step {state.step}: the loss is not finite ({parts})")
 
     def _next_phase(self) -> None:
         state, phases = self.state, [*self._steps(), "done"]
         following = phases[phases.index(state.phase) + 1]
         self.between_steps = False  # half of this change would make a checkpoint of neither phase
         if following == "pruned":
-            shares = shares_of(self.asked, self.views, self.chunks)
-            self._module.active = kept_colors(self._module.active, shares, self.settings.most_colors)
+            shares = shares_of(self.evaluator, self.views, self.threads)
+            self._module.active = kept_colors(self._module.active, shares, self.settings.max_colors)
         state.spent[state.phase] = round(state.seconds, 3)
         state.phase, state.step, state.seconds = following, 0, 0.0
         self.between_steps = True
 
     def figures(self) -> dict:
-        """As figures_of, and the seconds of each phase that is over."""
+        """figures_of, and the seconds of each finished phase."""
         seconds = {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()}
-        return {**figures_of(self.asked, self.views, self.chunks), "seconds": seconds}
+        return {**figures_of(self.evaluator, self.views, self.threads), "seconds": seconds}
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to go on from."""
+        """(JSON, arrays) to resume from."""
         arrays = {f"module.{k}": v.copy() for k, v in self.module.arrays().items()}
         arrays["active"] = self._module.active.copy()
         return {"state": vars(self.state)}, arrays | self.engine.moments()
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """From checkpoint(), of whichever device."""
+        """Restore a checkpoint(), of whichever device."""
         self.state = EditState(**data["state"])
         self._module.active = validation.array(arrays, "active", bool, self._module.active.shape).copy()
         for name, values in self._module.arrays().items():

@@ -1,7 +1,6 @@
-"""What the fine-tuning loop asks of whatever holds its field: to learn from chosen pixels.
+"""The engine of a fine-tuning, on the CPU (engine_gpu.py: on a GPU).
 
-The loop (stylerf/training/finetune/trainer.py) decides which pixels and how fast; an engine does the work, on the CPU
-(here) or on a GPU (stylerf/training/finetune/engine_gpu.py). Both are given the same pixels.
+The loop in trainer.py chooses pixels and learning rate; an engine takes the step. Both engines get the same pixels.
 """
 
 from dataclasses import dataclass
@@ -21,12 +20,17 @@ from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
 @dataclass(frozen=True)
 class FineTuneSettings:
-    """seconds: budget, or steps if > 0. rays: of a step. inside: share of them through edited pixels.
+    """Settings of a fine-tuning.
 
-    rate: per step, of the colors and (times density_factor) of the density, falling to final_rate of itself;
-    density_factor 0 keeps the shapes. depth_weight: of the squared difference of sum(w t) from the depth before the
-    edit, in units of that depth, at edited pixels. background: level of gray behind the field. smoothness, even_from:
-    as in FitSettings.
+    Attributes:
+        seconds, steps: Budget: time, or steps if over 0.
+        rays: Rays per step.
+        inside, beside: Fractions of them through edited pixels, and through pixels around those.
+        rate: Learning rate of the colors; falls to `final_rate` of itself.
+        density_factor: Learning rate of the density relative to it; 0 keeps the shapes.
+        depth_weight: Weight of the squared relative change of sum(w t) at edited pixels.
+        background: Gray level behind the field.
+        smoothness, near_scaling_distance: As in FitSettings.
     """
 
     seconds: float = 60.0
@@ -40,15 +44,18 @@ class FineTuneSettings:
     depth_weight: float = 1e-3
     background: float = 1.0
     smoothness: float = 0.0
-    even_from: float = 0.0
+    near_scaling_distance: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class FineTuneBatch:
-    """This process's pixels of one step, edited ones first: views, row-major pixels, jitter of their rays [n].
+    """This process's pixels of one step, edited ones first.
 
-    depth [m]: known of the first m, the edited ones. inside: edited ones of all processes. smoothness: its strength,
-    0: none.
+    Attributes:
+        views, pixels, jitter: [n]; pixels are row-major.
+        depth: [m] of the first m pixels, the edited ones.
+        inside: Number of edited pixels over all processes.
+        smoothness: Weight of the total variation; 0: none in this step.
     """
 
     views: np.ndarray
@@ -61,57 +68,57 @@ class FineTuneBatch:
 
 
 class FineTuneEngine(Protocol):
-    """field: as it now stands, its arrays up to date."""
+    """field: the present field, its arrays up to date."""
 
     field: RadianceField
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        """One step of the optimizers; mean squared errors of colors outside and inside the edit, and of depths.
+        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
 
-        A GPU's are those of the newest step that it has finished; nothing before the first.
+        A GPU returns those of the newest step that has finished, none before the first.
         """
 
     def settle(self) -> dict[str, float]:
-        """Those of the last step, waiting for it where need be."""
+        """Wait for the last step; its errors."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimizers remember, by name."""
+        """The optimizers' moments, by name."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Go on from the field's arrays as somebody has set them, and from moments()."""
+        """Resume from the field's present arrays and moments()."""
 
 
 def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
-    """Means by name, of sums over rays outside the edit, inside it, and of depths inside it."""
+    """Means by name, from sums over rays outside the edit, inside it, and of depths inside it."""
     return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
 
 
 class CpuFineTuneEngine:
-    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits."""
 
     def __init__(
         self,
         field: RadianceField,
-        bank: RayDataset,
+        dataset: RayDataset,
         settings: FineTuneSettings,
-        chunks: int,
-        ranks: ProcessGroup = ALONE,
+        threads: int,
+        group: ProcessGroup = ALONE,
     ) -> None:
-        self.field, self.bank, self.settings, self.chunks, self.ranks = field, bank, settings, chunks, ranks
-        self.color_adam = Adam(field.color.values, field.color.groups(), chunks)
-        self.density_adam = Adam(field.density.values, field.density.groups(), chunks)
+        self.field, self.dataset, self.settings, self.threads, self.group = field, dataset, settings, threads, group
+        self.color_adam = Adam(field.color.values, field.color.groups(), threads)
+        self.density_adam = Adam(field.density.values, field.density.groups(), threads)
         self._last: dict[str, float] = {}
         self._memory = ScratchArena()
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
-        origins, directions, colors = self.bank.at(batch.views, batch.pixels)
+        origins, directions, colors = self.dataset.at(batch.views, batch.pixels)
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
-        rendered = render_rays(field, rays, threads=self.chunks, arena=self._memory.reset())
+        rendered = render_rays(field, rays, threads=self.threads, arena=self._memory.reset())
         out, level = rendered.out, np.float32(s.background)
         found = out[:, :3] + (1 - out[:, 3:4]) * level
-        if field.opaque_background and self.bank.channels == 4:
+        if field.opaque_background and self.dataset.channels == 4:
             colors = unhidden(colors, found)
         difference = found - (colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * level)
         gradients = np.zeros_like(out)
@@ -131,23 +138,23 @@ class CpuFineTuneEngine:
         density_to = self.density_adam.gradients if moving else None
         within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
-        backward(field, rendered, gradients, *to, near_scaling_distance=s.even_from, density_within=within)
+        backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
         self._step(batch, moving)
         squares = np.square(difference).mean(1)
         sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
-        self.ranks.add(sums)
+        self.group.add(sums)
         self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
         return self._last
 
     def _step(self, batch: FineTuneBatch, moving: bool) -> None:
-        """Both optimizers, where the density moves, on gradients of all processes."""
-        if batch.smoothness > 0 and self.ranks.first:
+        """Step both optimizers, if the density learns, with the gradients of all processes."""
+        if batch.smoothness > 0 and self.group.first:
             self.field.color.smooth(batch.smoothness, self.color_adam.gradients[0])
             if moving:
                 self.field.density.smooth(batch.smoothness, self.density_adam.gradients[0])
-        self.ranks.add_gradients(self.color_adam.gradients)
+        self.group.add_gradients(self.color_adam.gradients)
         if moving:
-            self.ranks.add_gradients(self.density_adam.gradients)
+            self.group.add_gradients(self.density_adam.gradients)
         self.color_adam.step(batch.rate)
         if moving:
             self.density_adam.step(batch.rate * self.settings.density_factor)

@@ -18,52 +18,60 @@ from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
 
-# Samples there is room for: all that the rays could have, up to a gigabyte. Rays beyond take no part in their step.
+# Samples that fit: all that the rays could have, up to a gigabyte. Rays beyond that are left out of their step.
 MOST_ROOM = 1 << 24
 
 
 class GpuFineTuneEngine:
-    """stylerf/training/finetune/engine.py's CpuTuning on `device`: from the same pixels the same, to rounding."""
+    """CpuFineTuneEngine on `device`: equal, to rounding; `threads` is unused."""
 
     def __init__(
-        self, field: RadianceField, bank: RayDataset, settings: FineTuneSettings, device: torch.device | str,
-        ranks: ProcessGroup = ALONE,
-    ) -> None:  # fmt: skip
-        self.device, self.settings, self.ranks = torch.device(device), settings, ranks
-        self.bank = GpuRayDataset(bank, self.device)
+        self,
+        field: RadianceField,
+        dataset: RayDataset,
+        settings: FineTuneSettings,
+        threads: int,
+        group: ProcessGroup = ALONE,
+        *,
+        device: torch.device | str,
+    ) -> None:
+        self.device, self.settings, self.group = torch.device(device), settings, group
+        self.dataset = GpuRayDataset(dataset, self.device)
         self._host = field
         self._within = None
         if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
-        self._reports = AsyncReadback(self.device, 5, self._told, {}, in_step=ranks.count > 1)
+        self._reports = AsyncReadback(self.device, 5, self._errors, {}, in_step=group.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:
         """The host's arrays, moments at zero."""
         self._stale = False
-        self.live = GpuField(self._host, self.device)
-        self.color_adam = GpuAdam(self.live.color.values, self.live.color.groups)
-        self.density_adam = GpuAdam(self.live.density.values, self.live.density.groups)
+        self.device_field = GpuField(self._host, self.device)
+        self.color_adam = GpuAdam(self.device_field.color.values, self.device_field.color.groups)
+        self.density_adam = GpuAdam(self.device_field.density.values, self.device_field.density.groups)
 
     @property
     def field(self) -> RadianceField:
         if self._stale:
-            # The occupancy stays as it is: see the loop.
-            for own, learned in ((self._host.color, self.live.color), (self._host.density, self.live.density)):
+            # The occupancy stays as it is: see trainer.py.
+            device = self.device_field
+            for own, learned in ((self._host.color, device.color), (self._host.density, device.density)):
                 own.values[:] = learned.values.cpu().numpy()
             self._stale = False
         return self._host
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        s, field, sums = self.settings, self.live, self._reports.begin()
+        s, field, sums = self.settings, self.device_field, self._reports.begin()
         moving = s.density_factor > 0
-        numbers = self.bank.number_of(batch.views, batch.pixels)
+        numbers = self.dataset.number_of(batch.views, batch.pixels)
         chosen, jitter, depth = (
             sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
         )
-        rays, wanted = self.bank.at(chosen, jitter)
-        rendered = field.render_rays(rays, room=min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM), limit=SAMPLES_PER_RAY)
-        if field.opaque_background and self.bank.channels == 4:
+        rays, wanted = self.dataset.at(chosen, jitter)
+        room = min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM)
+        rendered = field.render_rays(rays, room=room, samples_per_ray=SAMPLES_PER_RAY)
+        if field.opaque_background and self.dataset.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
         scale = 2 / (3 * s.rays)
@@ -76,23 +84,24 @@ class GpuFineTuneEngine:
             gradients[:, 3] += gradients[:, :3] @ offset
             gradients[:, :3] = gradients[:, :3] @ matrix
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients
-        field.backward(rendered, gradients, *to, near_scaling_distance=s.even_from, density_within=self._within)
+        distance = s.near_scaling_distance
+        field.backward(rendered, gradients, *to, near_scaling_distance=distance, density_within=self._within)
         for part, adam, factor in self._taught():
-            if batch.smoothness > 0 and self.ranks.first:
+            if batch.smoothness > 0 and self.group.first:
                 part.smooth(batch.smoothness, adam.gradients)
-            self.ranks.add(adam.gradients)
+            self.group.add(adam.gradients)
             adam.step(batch.rate * factor)
-        self.ranks.add(sums)
+        self.group.add(sums)
         self._stale = True
         return self._reports.send(batch.inside)
 
     def _taught(self) -> list[tuple]:
         """(part, its optimizer, its rate over that of the colors) of what learns."""
-        color = self.live.color, self.color_adam, 1.0
-        density = self.live.density, self.density_adam, self.settings.density_factor
+        color = self.device_field.color, self.color_adam, 1.0
+        density = self.device_field.density, self.density_adam, self.settings.density_factor
         return [color, density] if density[2] > 0 else [color]
 
-    def _told(self, sums: list[float], inside: int) -> dict[str, float]:
+    def _errors(self, sums: list[float], inside: int) -> dict[str, float]:
         outside, within, depth, lost_outside, lost_inside = sums
         of = np.array([self.settings.rays - inside - lost_outside, inside - lost_inside, inside - lost_inside])
         return parts_of(np.array([outside / 3, within / 3, depth]), of)

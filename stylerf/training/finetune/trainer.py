@@ -1,7 +1,7 @@
-"""Fine-tune a field on photos that carry an edit (LAENeRF, section 3.5): colors follow, density where it has to.
+"""Fine-tune a field on edited photos (LAENeRF, section 3.5): the colors, and the density if necessary.
 
-LAENeRF adds a depth term whose gradient its compositing discards; ours acts. The occupancy stays as it is: looked at
-anew, it lost thin cells all over the scene (fox: background error 1.14 times that before the edit, else 1.05).
+LAENeRF adds a depth term whose gradient its compositing discards; ours acts. The occupancy grid stays: refreshed, it
+lost thin cells all over the scene (fox: background error 1.14 times that before the edit, else 1.05).
 """
 
 import math
@@ -22,7 +22,7 @@ from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, F
 
 @dataclass
 class FineTuneState:
-    """Where the fine-tuning stands."""
+    """Progress of a fine-tuning."""
 
     step: int = 0
     seconds: float = 0.0
@@ -34,9 +34,12 @@ class FineTuneState:
 
 @dataclass(frozen=True, eq=False)
 class EditedPixels:
-    """views, pixels [n]: edited pixels of the bank, by place of the view and row-major number. depth [n]: sum(w t) of
+    """Pixels of the edit.
 
-    their rays before the edit, scene units. beside: (views, pixels) of pixels around them that must stay.
+    Attributes:
+        views, pixels: [n], index of the view and row-major pixel.
+        depth: [n], sum(w t) of their rays before the edit, scene units.
+        beside: (views, pixels) around them, which must keep their colors.
     """
 
     views: np.ndarray
@@ -46,49 +49,45 @@ class EditedPixels:
 
 
 class FineTuner:
-    """bank: all training views, edited. The field is changed in place.
+    """Trains the field in place.
 
-    ranks: the processes that train it together; settings.rays are of all of them. device: of the GPU kernels; None:
-    the CPU's. Both see the same rays, and a checkpoint of one goes on upon the other.
+    Args:
+        dataset: All training views, edited.
+        group: Processes that train together; settings.rays are the sum over them.
+        engine: Where it trains (training/backends.py). Engines see the same rays, and resume each other's checkpoints.
     """
 
     def __init__(
         self,
         field: RadianceField,
-        bank: RayDataset,
+        dataset: RayDataset,
         edited: EditedPixels,
         settings: FineTuneSettings,
         seed: int,
-        chunks: int,
-        ranks: ProcessGroup = ALONE,
-        device: str | None = None,
+        threads: int,
+        group: ProcessGroup = ALONE,
+        engine: Callable[..., FineTuneEngine] = CpuFineTuneEngine,
     ) -> None:
-        self.ranks, self.bank, self.edited, self.settings, self.seed = ranks, bank, edited, settings, seed
+        self.group, self.dataset, self.edited, self.settings, self.seed = group, dataset, edited, settings, seed
         self.state = FineTuneState()
-        # Whether all that learns is near the edit: rays far from it would tell nothing.
+        # Whether everything that learns is near the edit: rays far from it would teach nothing.
         self.local = isinstance(field.color, RegionColor) and settings.density_factor == 0
-        self.engine: FineTuneEngine
-        if device is None:
-            self.engine = CpuFineTuneEngine(field, bank, settings, chunks, ranks)
-        else:
-            from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
-
-            self.engine = GpuFineTuneEngine(field, bank, settings, device, ranks)
+        self.engine = engine(field, dataset, settings, threads, group)
         self.between_steps = True
 
     @property
     def field(self) -> RadianceField:
-        """As it now stands."""
+        """The present field."""
         return self.engine.field
 
     @property
     def progress(self) -> float:
-        """Used share of the budget, 0..1."""
+        """Used fraction of the budget, 0..1."""
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
     def _batch(self) -> FineTuneBatch:
-        """This process's pixels of the step, and how fast it learns.
+        """This process's pixels of the step.
 
         Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
         """
@@ -99,12 +98,12 @@ class FineTuner:
         beside = s.rays - inside if self.local else min(round(s.rays * s.beside), s.rays - inside)
         beside = beside if len(pixels) else 0
         around = generator.integers(0, max(1, len(pixels)), beside)
-        own, others = self.ranks.own(s.rays), s.rays - inside - beside
+        own, others = self.group.own(s.rays), s.rays - inside - beside
         chosen, around = chosen[_overlap(own, 0, inside)], around[_overlap(own, inside, beside)]
         drawn = (
             (self.edited.views[chosen], self.edited.pixels[chosen]),
             (views[around], pixels[around]),
-            self.bank.choose(others, generator, part=_overlap(own, s.rays - others, others)),
+            self.dataset.choose(others, generator, part=_overlap(own, s.rays - others, others)),
         )
         return FineTuneBatch(
             *(np.concatenate(two) for two in zip(*drawn)),
@@ -116,37 +115,37 @@ class FineTuner:
         )
 
     def step(self) -> dict[str, float]:
-        """One step; mean squared errors of colors outside and inside the edit, and of depths."""
+        """Take one step; mean squared errors of colors outside and inside the edit, and of depths."""
         return self.engine.learn(self._batch())
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
-        """Until the budget is spent; on_step is told after every step."""
+        """Train until the budget is spent, calling on_step after every step."""
         state = self.state
         timed = False  # a process's first step compiles
         while self.progress < 1.0:
             begun, self.between_steps = time.perf_counter(), False
             parts = self.step()
             self._refuse_nan(parts)
-            state.seconds += self.ranks.of_first(time.perf_counter() - begun) * timed
+            state.seconds += self.group.of_first(time.perf_counter() - begun) * timed
             state.step, timed = state.step + 1, True
-            if state.step % 10 == 0 and parts:  # a device tells nothing until a step has ended
-                told = {name: float(f"{value:.4g}") for name, value in parts.items()}
-                state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **told})
+            if state.step % 10 == 0 and parts:  # a GPU returns none until a step has finished
+                rounded = {name: float(f"{value:.4g}") for name, value in parts.items()}
+                state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **rounded})
             self.between_steps = True
             on_step(self)
         self._refuse_nan(self.engine.settle())
 
     def _refuse_nan(self, parts: dict[str, float]) -> None:
         if not all(math.isfinite(value) for value in parts.values()):
-            raise Diverged(f"step {self.state.step}: the loss left the finite numbers ({parts})")
+            raise Diverged(f"step {self.state.step}: the loss is not finite ({parts})")
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to go on from."""
+        """(JSON, arrays) to resume from."""
         arrays = {f"field.{k}": v.copy() for k, v in self.field.arrays().items()}
         return {"state": vars(self.state)}, arrays | self.engine.moments()
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """From checkpoint(), of whichever device."""
+        """Restore a checkpoint(), of whichever device."""
         self.state = FineTuneState(**data["state"])
         for name, own in self.field.arrays().items():
             own[:] = arrays[f"field.{name}"]
@@ -154,5 +153,5 @@ class FineTuner:
 
 
 def _overlap(own: slice, begin: int, count: int) -> slice:
-    """What of `count` rays, the first of which is number `begin` of a step, lies in `own`; counted from that first."""
+    """The part of `count` rays, numbered from `begin` in a step, that lies in `own`; counted from `begin`."""
     return slice(min(max(own.start - begin, 0), count), min(max(own.stop - begin, 0), count))

@@ -1,4 +1,4 @@
-"""The capacities that a fit climbs, and the field's parts at each of them, whatever their kinds."""
+"""The capacity levels of a fit, and the field's parts at each, of any kind."""
 
 from dataclasses import dataclass, replace
 
@@ -15,10 +15,15 @@ from stylerf.geometry.space_warp import SpaceWarp
 
 @dataclass(frozen=True)
 class CapacityLevel:
-    """One capacity: vertices per axis of an even box (of a hash grid: most cells a side), ranks of vm's density and
+    """One capacity.
 
-    color, cells of the occupancy grid, the power of two of a hash level's vertices, the highest degree that the
-    harmonics of a vm color may have, and the resolution of the color where it is not that of the density.
+    Attributes:
+        resolution: Vertices per axis of a cubic box (hash grid: most cells per side).
+        density_rank, color_rank: Ranks of vm parts.
+        cells: Cells per side of the occupancy grid.
+        table_bits: log2 of a hash level's entries.
+        degree: Highest degree of a vm color's spherical harmonics.
+        color_resolution: Resolution of the color, 0 if it is the density's.
     """
 
     resolution: int
@@ -31,70 +36,70 @@ class CapacityLevel:
 
     @property
     def color(self) -> "CapacityLevel":
-        """The capacity that the color has: it may be coarser than the density."""
+        """The capacity of the color, which may be coarser than the density."""
         return replace(self, resolution=self.color_resolution or self.resolution)
 
 
 @dataclass(frozen=True)
 class Kinds:
-    """What a field is made of. density, color: vm, hash or voxel. head: linear or mlp. levels: of hash grids."""
+    """Kinds of a field's parts: density and color vm, hash or voxel; head linear or mlp. hash_levels: of hash grids."""
 
     density: str = "vm"
     color: str = "vm"
     head: str = "linear"
-    levels: int = 8
+    hash_levels: int = 8
 
 
-# Few ranks on the first rung: what is added later begins beside what is known already, where the error is. On the
-# finest grid a density of half the ranks and a coarser color hold as much, and a step takes less time (0040).
-LADDER = (
+# Few ranks at first: ranks added later start where the error is. On the finest grid, a density with half the ranks and
+# a coarser color hold as much, and steps take less time (decision 0040).
+LEVELS = (
     CapacityLevel(64, 8, 16, table_bits=16),
     CapacityLevel(128, table_bits=17),
     CapacityLevel(192, table_bits=17),
     CapacityLevel(256, 8, table_bits=18, color_resolution=176),
 )
-# The same with colors as fine as the density, where the photos of an object hold more than LADDER's colors can.
+# With colors as fine as the density, for photos of an object that hold more detail than the last of LEVELS.
 FULL = CapacityLevel(256, 8, table_bits=18)
-# A contraction leaves half of each axis to what the cameras stand around: there a finer density still tells.
+# A contraction spends half of each axis on the center, where a finer density still helps.
 BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
 
 
-def ladder_of(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
-    """The rungs that a fit of so made fields climbs. space: its kind. pixels: the longest side of the photos."""
+def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
+    """The levels that a fit tries. space: kind of its warp. pixels: longest side of the photos."""
     if kinds.head != "linear":
-        # A small network behind the color has one width: its ranks are those of the first rung.
-        return (replace(LADDER[0], color_rank=FULL.color_rank), *LADDER[1:3], FULL)
+        # The network behind the color has one width, so that the first level needs all ranks.
+        return (replace(LEVELS[0], color_rank=FULL.color_rank), *LEVELS[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
-        # All ranks until the last: 256^3 with half of them seems to gain nothing, where 384^3 then would.
-        return (*LADDER[:3], replace(FULL, density_rank=16), BEYOND)
-    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LADDER[-1].color_resolution)
-    return LADDER if lean else (*LADDER[:3], FULL)
+        # All ranks until the last: 256^3 with half of them seems to gain nothing, although 384^3 then would.
+        return (*LEVELS[:3], replace(FULL, density_rank=16), BEYOND)
+    lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LEVELS[-1].color_resolution)
+    return LEVELS if lean else (*LEVELS[:3], FULL)
 
 
 def capacity_at(
-    rung: CapacityLevel,
+    level: CapacityLevel,
     finest: int,
-    levels: int,
+    hash_levels: int,
     space: SpaceWarp,
     occupancy: OccupancyGrid | None = None,
     degree: int = 1,
 ) -> Capacity:
-    """A rung's capacity in a space; finest: the resolution of the ladder's last rung; degree: asked for at most."""
+    """A level's capacity in a space. finest: resolution of the last level. degree: the highest wanted."""
     return Capacity(
-        space.cells_per_axis(rung.resolution),
-        rung.resolution,
-        rung.density_rank,
-        rung.color_rank,
-        1 << rung.table_bits,
-        levels,
+        space.cells_per_axis(level.resolution),
+        level.resolution,
+        level.density_rank,
+        level.color_rank,
+        1 << level.table_bits,
+        hash_levels,
         finest,
         occupancy,
-        min(rung.degree, degree),
+        min(level.degree, degree),
     )
 
 
 def first_parts(kinds: Kinds, capacity: Capacity, generator: np.random.Generator) -> tuple:
-    """(density, color) that know nothing yet."""
+    """Initial (density, color)."""
     degree = capacity.degree
     if kinds.density == "vm":
         density = VmDensity.create(capacity.size, capacity.density_rank, generator)

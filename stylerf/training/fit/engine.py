@@ -1,7 +1,7 @@
-"""What the fitting loop asks of whatever holds its field: to learn from a batch, to judge, to look where density is.
+"""The engine of a fit, on the CPU (engine_gpu.py: on a GPU).
 
-The loop (stylerf/training/fit/fitter.py) decides: when to grow, to go back, how fast to learn. An engine does the work,
-on the CPU (here) or on a GPU (stylerf/training/fit/engine_gpu.py).
+The loop in fitter.py decides when to grow, when to roll back and how fast to learn; an engine holds the field, takes
+the steps, renders, and updates the occupancy grid.
 """
 
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
 @dataclass(frozen=True)
 class Batch:
-    """One step: `rays` random rays of the first `among` views, worked off in `parts`; `step` and seed decide which.
+    """One step on `rays` random rays of the first `among` views, in `parts`; `step` and the seed decide which.
 
-    lit_share: part of the rays near something opaque. background: white, black, random or none. smoothness: strengths
-    (density, color) of the planes' total variation, 0: none. even_from, opacity, coverage: see FitSettings.
+    lit_share: fraction of the rays near something opaque. background: white, black, random or none. smoothness: weights
+    of the planes' total variation (density, color), 0: none. The others: see FitSettings.
     """
 
     step: int
@@ -35,23 +35,23 @@ class Batch:
     background: str
     rate: float
     smoothness: tuple[float, float]
-    even_from: float
+    near_scaling_distance: float
     opacity: float = 0.0
     coverage: float = 0.0
 
 
 @dataclass(frozen=True)
 class StepResult:
-    """Mean squared error of a batch and samples a ray. A GPU's are those of the newest step that it has finished."""
+    """Mean squared error and samples per ray of a step; on a GPU, of the newest step that has finished."""
 
     error: float
-    live: float
+    samples_per_ray: float
 
 
 class Engine(Protocol):
-    """field: as it now stands, its arrays up to date. most_rays: of a batch.
+    """field: the present field, its arrays up to date. most_rays: of a batch.
 
-    Several processes that train together (Ranks) each do their part of a batch: sums are those of all of them.
+    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
     """
 
     field: RadianceField
@@ -59,41 +59,43 @@ class Engine(Protocol):
     most_rays: int
 
     def adopt(self, field: RadianceField) -> None:
-        """Go on with this field, moments of the optimizer at zero but of a part that is the very one before."""
+        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
 
     def refresh(self, seed: int, share: int) -> None:
-        """Look anew where the field has density, at one cell in `share`."""
+        """Update the occupancy grid at one cell in `share`."""
 
     def learn(self, batch: Batch) -> StepResult:
-        """One step of the optimizer. MemoryError where the batch does not fit; then discard() what was begun."""
+        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
 
     def discard(self) -> None:
-        """Drop gradients that no step has taken."""
+        """Drop accumulated gradients."""
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """[rays, 5] float32: premultiplied color, alpha and distance of what they show, of rays without jitter."""
+        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
 
     def follow_exposure(self) -> None:
-        """Take photos for what the codes of the loop's bank say now."""
+        """Take over the exposure of the loop's dataset."""
 
     def settle(self) -> None:
-        """Wait for the steps under way: what asks for their result takes them for its own time."""
+        """Wait for pending steps, whose time would otherwise count for what follows."""
 
     def agree(self) -> None:
-        """Take the first process's values: what unlike processors round otherwise must not add up."""
+        """Take over the first process's values, so that differences in rounding do not add up."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """What the optimizers remember, by name."""
+        """The optimizers' moments, by name."""
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
 
-    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
-        """Compile every kernel that a step uses on fields like these, which may be spoiled, without learning."""
+    def warm_up(
+        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
+    ) -> None:
+        """Compile every kernel that a step uses, on these scratch fields."""
 
 
 def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
-    """[count, 3] float32; `random` is white where there is no generator: where a field is judged."""
+    """Background colors [count, 3] float32; `random` is white without a generator."""
     if kind == "random" and generator is not None:
         return generator.random((count, 3), dtype=np.float32)
     level = 0.0 if kind in ("black", "none") else 1.0
@@ -101,53 +103,59 @@ def background_of(kind: str, count: int, generator: np.random.Generator | None) 
 
 
 def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Premultiplied rgb over a background."""
+    """Composite premultiplied rgb over a background."""
     return rgb + (1 - alpha) * background
 
 
 def target(colors: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Straight rgba over a background."""
+    """Composite straight rgba over a background."""
     return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`: rays [n] are asked to be clear or opaque.
+    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for rays [n] that are clear or opaque.
 
-    A haze that few views would let stand for a surface costs most at alpha = 1/2; clear air and solids cost nothing.
+    Haze that few views see costs most, at alpha = 1/2; clear air and solids cost nothing.
     """
     return (np.float32(4 * weight / rays) * (1 - 2 * np.clip(alpha, 0, 1))).astype(np.float32)
 
 
 def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`: how much of each pixel [n] is covered.
+    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`, for the coverage of pixels [n].
 
-    On a background of one color, matter of that color costs nothing. Random backgrounds tell it by noise: the mean of
-    their squared error is that on mid-gray plus a twelfth of the alphas'.
+    On a background of one color, matter of that color costs nothing. Random backgrounds reveal it, but noisily: their
+    mean squared error is that on mid-gray plus a twelfth of the alphas'.
     """
     return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
 
 
 def parts_of(start: int, stop: int, parts: int) -> list[slice]:
-    """start..stop cut into `parts` of about one size; those that would be empty are left out."""
+    """Split start..stop into `parts` of about equal size, leaving out empty ones."""
     edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
     return [slice(first, end) for first, end in pairwise(edges) if first < end]
 
 
 class CpuEngine:
-    """numba kernels on `chunks` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits."""
 
     most_rays = 16384
 
     def __init__(
         self,
-        bank: RayDataset,
+        dataset: RayDataset,
         seed: int,
-        chunks: int,
+        threads: int,
         field: RadianceField,
-        ranks: ProcessGroup = ALONE,
-        clip: float = 0.0,
+        group: ProcessGroup = ALONE,
+        gradient_clip: float = 0.0,
     ) -> None:
-        self.bank, self.seed, self.chunks, self.ranks, self.clip = bank, seed, chunks, ranks, clip
+        self.dataset, self.seed, self.threads, self.group, self.gradient_clip = (
+            dataset,
+            seed,
+            threads,
+            group,
+            gradient_clip,
+        )
         self.density_adam = self.color_adam = None
         self._memory = ScratchArena()
         self.adopt(field)
@@ -160,7 +168,7 @@ class CpuEngine:
     def _adam_of(self, part, before: Adam | None) -> Adam:
         if before is not None and before.values is part.values:
             return before
-        return Adam(part.values, part.groups(), self.chunks, self.clip)
+        return Adam(part.values, part.groups(), self.threads, self.gradient_clip)
 
     @property
     def parameters(self) -> int:
@@ -168,40 +176,40 @@ class CpuEngine:
 
     def refresh(self, seed: int, share: int) -> None:
         field = self.field
-        field.occupancy.refresh(lambda x: field.density.sigma(x, self.chunks), field.step, seed, share, 0.9)
+        field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, share, 0.9)
 
     def learn(self, batch: Batch) -> StepResult:
         generator = np.random.default_rng([self.seed, 4, batch.step])
-        count, near, own = batch.rays, self.field.space.near, self.ranks.own(batch.rays)
-        origins, directions, colors, _ = self.bank.draw(count, generator, batch.among, batch.lit_share, own)
+        count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
+        origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
-        error, live = 0.0, 0
+        error, samples_per_ray = 0.0, 0
         for part in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[part], directions[part], near, jitter[part])
             squares, samples = self._learn_part(batch, rays, colors[part], background[part])
             error += squares
-            live += samples
+            samples_per_ray += samples
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
-            if strength > 0 and self.ranks.first:
+            if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients[0])
-        totals = np.array([error, live], np.float64)
-        self.ranks.add(totals)
+        totals = np.array([error, samples_per_ray], np.float64)
+        self.group.add(totals)
         for adam in (self.density_adam, self.color_adam):
-            self.ranks.add_gradients(adam.gradients)
+            self.group.add_gradients(adam.gradients)
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
-        error, live = totals.tolist()
-        return StepResult(error / (3 * count), live / count)
+        error, samples_per_ray = totals.tolist()
+        return StepResult(error / (3 * count), samples_per_ray / count)
 
     def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
-        """Add the gradients of some rays of a batch; the sum of their squared errors, and their samples."""
+        """Add the gradients of some rays of a batch; the sum of their squared errors, and the number of samples."""
         count = batch.rays
-        rendered = render_rays(self.field, rays, threads=self.chunks, arena=self._memory.reset())
+        rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
         out = rendered.out
         found = over(out[:, :3], out[:, 3:4], back)
-        if self.field.opaque_background and self.bank.channels == 4:
+        if self.field.opaque_background and self.dataset.channels == 4:
             colors = unhidden(colors, found)
         difference = found - target(colors, back)
         gradients = np.zeros_like(out)
@@ -212,31 +220,31 @@ class CpuEngine:
         if batch.coverage > 0:
             gradients[:, 3] += coverage_gradient(out[:, 3], colors[:, 3], batch.coverage, count)
         to = self.density_adam.gradients, self.color_adam.gradients
-        backward(self.field, rendered, gradients, *to, near_scaling_distance=batch.even_from)
+        backward(self.field, rendered, gradients, *to, near_scaling_distance=batch.near_scaling_distance)
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
-        self._memory = ScratchArena()  # what was kept for batches of this size is needed for smaller ones
+        self._memory = ScratchArena()  # its memory is needed for smaller batches
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         found = np.zeros((len(origins), 5), np.float32)
-        for begin in range(4096 * self.ranks.place, len(origins), 4096 * self.ranks.count):
+        for begin in range(4096 * self.group.place, len(origins), 4096 * self.group.count):
             part = slice(begin, begin + 4096)
             rays = Rays.of(origins[part], directions[part], self.field.space.near)
-            rendered = render_rays(self.field, rays, threads=self.chunks, arena=self._memory.reset())
-            found[part] = with_surface_distance(rendered, self.chunks)
-        self.ranks.add(found)
+            rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
+            found[part] = with_surface_distance(rendered, self.threads)
+        self.group.add(found)
         return found
 
-    def follow_exposure(self) -> None: ...  # the bank is the loop's own
+    def follow_exposure(self) -> None: ...  # the dataset is the loop's own
 
     def settle(self) -> None: ...
 
     def agree(self) -> None:
         for part in (self.field.density, self.field.color):
-            self.ranks.take_first(part.values)
+            self.group.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
         both = ("density", self.density_adam), ("color", self.color_adam)
@@ -246,16 +254,18 @@ class CpuEngine:
         for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
-    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
-        origins, directions, _, _ = self.bank.draw(16, np.random.default_rng(0))
+    def warm_up(
+        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
+    ) -> None:
+        origins, directions, _, _ = self.dataset.draw(16, np.random.default_rng(0))
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:
-            field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.chunks), field.step, 0, 1, 0.9)
-            rendered = render_rays(field, rays, threads=self.chunks)
+            field.occupancy.refresh(lambda x, d=field.density: d.sigma(x, self.threads), field.step, 0, 1, 0.9)
+            rendered = render_rays(field, rays, threads=self.threads)
             parts = field.density, field.color
-            adams = [Adam(part.values, part.groups(), self.chunks) for part in parts]
+            adams = [Adam(part.values, part.groups(), self.threads) for part in parts]
             to = adams[0].gradients, adams[1].gradients
-            backward(field, rendered, np.ones_like(rendered.out), *to, near_scaling_distance=even_from)
+            backward(field, rendered, np.ones_like(rendered.out), *to, near_scaling_distance=near_scaling_distance)
             for part, adam, weight in zip(parts, adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients[0])

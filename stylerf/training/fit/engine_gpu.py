@@ -1,7 +1,7 @@
-"""The fitting loop's engine on a GPU: field, photos, rays, gradients and moments stay on the device.
+"""The engine of a fit on a GPU: field, photos, rays, gradients and moments stay on the device.
 
-A step is about fifteen launches, none of which waits. What the loop wants to know of a step, its error and its number
-of samples, comes back by itself a few steps later (async_readback.py).
+A step is about fifteen launches, none of which waits. Its error and number of samples arrive some steps later
+(async_readback.py).
 """
 
 from collections.abc import Iterator
@@ -22,12 +22,12 @@ from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.fit.engine import Batch, StepResult, parts_of
 
-ROOM = 4  # times the samples that a batch is meant to have; rays beyond that are left out of the step
+ROOM = 4  # times the intended samples of a batch; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
 
 
 def opacity_gradient(rendered: GpuRendered, weight: float, rays: int) -> Tensor:
-    """As engine.py's, of a part of `rays` rays; those that found no room teach nothing."""
+    """engine.opacity_gradient, of a part of `rays` rays; those that were left out teach nothing."""
     return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
@@ -37,14 +37,14 @@ def coverage_gradient(rendered: GpuRendered, wanted: Tensor, weight: float, rays
 
 
 def _whole(rendered: GpuRendered) -> Tensor:
-    """Rays whose samples have all found room."""
+    """Rays of which no sample was left out."""
     s = rendered.samples
     return s.counts == s.ends - s.starts
 
 
 @contextmanager
 def out_of_memory() -> Iterator[None]:
-    """A device's lack of memory as the loop knows it: MemoryError."""
+    """Raise MemoryError when the GPU is out of memory."""
     try:
         yield
     except torch.OutOfMemoryError as error:
@@ -53,60 +53,61 @@ def out_of_memory() -> Iterator[None]:
 
 
 def _learned(sums: list[float], rays: int) -> StepResult:
-    """Of (squared error, samples, rays left out) of a step."""
+    """From (squared error, samples, rays left out) of a step."""
     error, samples, left_out = sums
-    # Rays that found no room show that there were more samples than were counted.
+    # With rays left out, there were more samples than were counted.
     rays = max(1.0, rays - left_out)
     return StepResult(error / (3 * rays), samples / rays)
 
 
 class GpuEngine:
-    """stylerf/training/fit/engine.py's Engine on `device`. samples: what the loop aims at in a batch (FitSettings).
+    """Engine on `device`. samples: FitSettings.samples; `threads` is unused.
 
-    Of several processes each has a device of its own; gradients are summed there.
+    Each of several processes has its own GPU; gradients are summed there.
     """
 
     most_rays = 1 << 17
 
     def __init__(
         self,
-        bank: RayDataset,
+        dataset: RayDataset,
         seed: int,
-        chunks: int,
+        threads: int,
         field: RadianceField,
-        ranks: ProcessGroup = ALONE,
+        group: ProcessGroup = ALONE,
         *,
         device: torch.device | str,
         samples: int,
-        clip: float = 0.0,
+        gradient_clip: float = 0.0,
     ) -> None:
-        self.device, self.ranks, self.clip = torch.device(device), ranks, clip
-        self.bank, self.seed = GpuRayDataset(bank, self.device), seed
+        self.device, self.group, self.gradient_clip = torch.device(device), group, gradient_clip
+        self.dataset, self.seed = GpuRayDataset(dataset, self.device), seed
         self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
         self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self._host, self._stale = field, False
-        self.live = GpuField(field, self.device)
+        self.device_field = GpuField(field, self.device)
         parts = field.density, field.color
         kept = [old is part for old, part in zip(self._parts, parts)]
-        self.density_adam = self._adam_of(self.live.density, self.density_adam if kept[0] else None)
-        self.color_adam = self._adam_of(self.live.color, self.color_adam if kept[1] else None)
+        self.density_adam = self._adam_of(self.device_field.density, self.density_adam if kept[0] else None)
+        self.color_adam = self._adam_of(self.device_field.color, self.color_adam if kept[1] else None)
         self._parts = parts
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
     def _adam_of(self, part, before: GpuAdam | None) -> GpuAdam:
-        """Of a part's new tensors; `before` is that of the same part."""
-        adam = GpuAdam(part.values, part.groups, self.clip)
+        """An optimizer of a part's new tensors, with the moments of `before`."""
+        adam = GpuAdam(part.values, part.groups, self.gradient_clip)
         if before is not None:
-            adam.first, adam.second, adam.usual, adam.steps = before.first, before.second, before.usual, before.steps
+            adam.first, adam.second, adam.steps = before.first, before.second, before.steps
+            adam.running_norm = before.running_norm
         return adam
 
     @property
     def field(self) -> RadianceField:
         if self._stale:
-            self.live.write_to(self._host)
+            self.device_field.write_to(self._host)
             self._stale = False
         return self._host
 
@@ -116,33 +117,33 @@ class GpuEngine:
 
     def refresh(self, seed: int, share: int) -> None:
         with out_of_memory():
-            refresh(self.live, seed, share, 0.9)
+            refresh(self.device_field, seed, share, 0.9)
         self._stale = True
 
     def learn(self, batch: Batch) -> StepResult:
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
-        # From here on lack of memory ends the run: a step begun anew would ask the other processes for its sums again.
+        # From here on, running out of memory ends the run: a restarted step would request the sums twice.
         for summed in (sums, self.density_adam.gradients, self.color_adam.gradients):
-            self.ranks.add(summed)
+            self.group.add(summed)
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
         self._stale = True
         return self._reports.send(batch.rays)
 
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
-        """Those of this process's part of the rays, and of the smoothness, to the optimizers'; the rest to sums [3]."""
-        field = self.live
+        """Add the gradients of this process's rays and of the smoothness; errors and counts go to sums [3]."""
+        field = self.device_field
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
-        own = self.ranks.own(batch.rays)
+        own = self.group.own(batch.rays)
         for part in parts_of(own.start, own.stop, batch.parts):
-            drawn = self.bank.draw(
+            drawn = self.dataset.draw(
                 seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
             )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
-            if field.opaque_background and self.bank.channels == 4:
+            if field.opaque_background and self.dataset.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
             scale = 2 / (3 * batch.rays)
             gradients = launch.photometric_loss(
@@ -153,10 +154,10 @@ class GpuEngine:
             if batch.coverage > 0:
                 gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
             to = self.density_adam.gradients, self.color_adam.gradients
-            field.backward(rendered, gradients, *to, near_scaling_distance=batch.even_from)
+            field.backward(rendered, gradients, *to, near_scaling_distance=batch.near_scaling_distance)
         both = (field.density, self.density_adam), (field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
-            if strength > 0 and self.ranks.first:
+            if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients)
 
     def discard(self) -> None:
@@ -168,21 +169,21 @@ class GpuEngine:
         for at in range(0, len(origins), 1 << 16):
             part = slice(at, at + (1 << 16))
             rays = GpuRays.of(origins[part], directions[part], self.device)
-            found[part] = self.live.render_rays(rays).with_surface_distance().cpu().numpy()
+            found[part] = self.device_field.render_rays(rays).with_surface_distance().cpu().numpy()
         return found
 
     def follow_exposure(self) -> None:
-        self.bank.follow_exposure()
+        self.dataset.follow_exposure()
 
     def settle(self) -> None:
         self._reports.settle()
 
     def agree(self) -> None:
-        for part in (self.live.density, self.live.color):
-            self.ranks.take_first(part.values)
-        if self.ranks.count > 1:  # unlike GPUs draw unlike points to look at
-            self.ranks.take_first(self.live.highest)
-            decide(self.live)
+        for part in (self.device_field.density, self.device_field.color):
+            self.group.take_first(part.values)
+        if self.group.count > 1:  # different GPUs draw different points
+            self.group.take_first(self.device_field.highest)
+            decide(self.device_field)
             self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
@@ -193,25 +194,27 @@ class GpuEngine:
         for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
             adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
-    def warm_up(self, scratch: list[RadianceField], smoothness: tuple[float, float], even_from: float) -> None:
+    def warm_up(
+        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
+    ) -> None:
         levels = [None, 1.0]
         for field in scratch:
             scratch = GpuField(field, self.device)
             adams = [GpuAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
             refresh(scratch, 0, 1, 0.9)
             for level in levels:
-                drawn = self.bank.draw(0, 0, 16, 16, self.bank.views, 0.5, level)
+                drawn = self.dataset.draw(0, 0, 16, 16, self.dataset.views, 0.5, level)
                 rendered = scratch.render_rays(drawn.rays, room=16 * 64)
                 sums = torch.zeros(3, device=self.device)
                 gradients = launch.photometric_loss(
                     rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
                 )
                 to = (adam.gradients for adam in adams)
-                scratch.backward(rendered, gradients, *to, near_scaling_distance=even_from)
+                scratch.backward(rendered, gradients, *to, near_scaling_distance=near_scaling_distance)
             for part, adam, weight in zip((scratch.density, scratch.color), adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)
-        self.ranks.add(torch.zeros(1, device=self.device))  # the first sum connects the processes' GPUs
+        self.group.add(torch.zeros(1, device=self.device))  # the first sum connects the GPUs
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)

@@ -1,9 +1,9 @@
-"""Photos whose exposure differs: by how many stops, as surfaces show that several of them see.
+"""Estimate the exposure differences of photos, from surfaces that several of them see.
 
-A camera that sets its exposure by itself shows one wall bright here and dark there, and a field can but mix them, or
-give each side of the wall a color of its own. Others learn an appearance a photo beside the field (Martin-Brualla et
-al. 2021); here it is a number a photo, and photos are compared with one another, never with the field, which has
-learned their differences by then: its depth alone tells where a surface is seen again.
+With auto exposure, a wall is bright in one photo and dark in another, and a field can only mix them or give each side
+of the wall its own color. NeRF-W learns an appearance per photo (Martin-Brualla et al. 2021); here it is one number per
+photo. Photos are compared with each other, never with the field, which has learned their differences by then; only its
+depth is used, to find where a surface is seen again.
 """
 
 from collections.abc import Callable
@@ -13,32 +13,32 @@ import numpy as np
 from stylerf.srgb import LUMA, decoded
 from stylerf.training.common.ray_dataset import RayDataset
 
-POINTS = 16384  # surface points in all, at least LEAST of them a photo
+POINTS = 16384  # surface points in all, at least LEAST per photo
 LEAST = 64
-OTHERS, TRIED = 3, 12  # photos that each point is looked for in, among so many drawn at random
-DARKEST, BRIGHTEST = 0.03, 0.97  # code values between which light tells of exposure
-CLIPPED = 250  # the byte from which a sensor may have been full
+OTHERS, TRIED = 3, 12  # photos compared per point, found among so many random ones
+DARKEST, BRIGHTEST = 0.03, 0.97  # usable code values
+CLIPPED = 250  # bytes from which a sensor may have been saturated
 SOLID = 0.9  # alpha of a surface
-APART = 0.03  # of its distance: by so much a point may lie off the surface that another photo sees there
+APART = 0.03  # of its distance, how far a point may lie from the surface that another photo sees
 ROUNDS = 20
-FEWEST_PHOTOS = 12  # with fewer, depth is no ground to judge by: nothing is done unless asked for
-PLAINLY = 0.27  # stops, standard deviation, from which photos are not as one camera setting gives them
+FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable; nothing is done unless requested
+PLAINLY = 0.27  # stops, standard deviation, from which exposures clearly differ
 
 
 class Exposures:
-    """Judges the exposure of a bank's photos at pixels chosen once."""
+    """Judges the exposure of a dataset's photos at pixels chosen once."""
 
-    def __init__(self, bank: RayDataset, seed: int) -> None:
-        self.bank = bank
-        count = len(bank.cameras)
+    def __init__(self, dataset: RayDataset, seed: int) -> None:
+        self.dataset = dataset
+        count = len(dataset.cameras)
         generator = np.random.default_rng([seed, 5])
         self.views = np.repeat(np.arange(count), max(LEAST, POINTS // count))
-        self.pixels = (generator.random(len(self.views)) * bank.sizes[self.views]).astype(np.int64)
+        self.pixels = (generator.random(len(self.views)) * dataset.sizes[self.views]).astype(np.int64)
         # Any view but the point's own.
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
     def judged(self, rendered: Callable[[np.ndarray, np.ndarray], np.ndarray], stops: np.ndarray) -> np.ndarray:
-        """[views] stops by which photos are overexposed, their mean 0. stops: what the bank takes them for now.
+        """[views] stops by which photos are overexposed, their mean 0. stops: what the dataset takes them for now.
 
         rendered: from origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
         """
@@ -51,13 +51,13 @@ class Exposures:
         return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
 
     def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where it tells nothing [n],
+        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where unusable [n],
         and the distance [n]."""
-        origins, directions, colors = self.bank.at(views, pixels)
+        origins, directions, colors = self.dataset.at(views, pixels)
         out = rendered(origins, directions)
         distance = out[:, 4]
         rgb = colors[:, :3]
-        telling = (rgb > DARKEST) & (rgb < np.minimum(self.bank.codes[views, CLIPPED], BRIGHTEST)[:, None])
+        telling = (rgb > DARKEST) & (rgb < np.minimum(self.dataset.codes[views, CLIPPED], BRIGHTEST)[:, None])
         telling = telling.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
         light = np.where(telling, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
         return origins + directions * distance[:, None], light, distance
@@ -66,8 +66,8 @@ class Exposures:
         """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
         pixels = np.full(self.others.shape, -1)
         by_view = np.argsort(self.others, axis=None, kind="stable")
-        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.bank.cameras) + 1))
-        for camera, first, end in zip(self.bank.cameras, edges[:-1], edges[1:], strict=True):
+        edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.dataset.cameras) + 1))
+        for camera, first, end in zip(self.dataset.cameras, edges[:-1], edges[1:], strict=True):
             at, place = np.divmod(by_view[first:end], TRIED)
             at, place = at[known[at]], place[known[at]]
             position, depth = camera.project(points[at])
@@ -82,7 +82,7 @@ class Exposures:
 def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarray, now: np.ndarray) -> np.ndarray:
     """[count] stops, their mean 0: `now` and what differences `beyond` [n] of photos `first` to photos `second` add.
 
-    Least absolute deviations, by weighted least squares repeated; a photo that nothing tells of stays as it is.
+    Least absolute deviations, by weighted least squares repeated; a photo without data keeps its value.
     """
     change = np.zeros(count)
     for _ in range(ROUNDS):

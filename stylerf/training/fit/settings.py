@@ -1,28 +1,42 @@
-"""How a field is fitted, and where a fit stands."""
+"""Settings of a fit, and the state of its run."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
-from stylerf.training.fit.capacity_levels import LADDER, CapacityLevel, Kinds
+from stylerf.training.fit.capacity_levels import LEVELS, CapacityLevel, Kinds
+
+GROW = "grow"
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a field is fitted. kinds: what it is made of. Budget: seconds of training, or steps if `steps` > 0.
+    """How a field is fitted.
 
-    samples: density samples a step; the number of rays follows, so that fog early on does not slow the steps down;
-    rates in value units per step; smoothness: weights of the planes' total variation (density, color); even_from:
-    distance, scene units, below which samples learn by the square of their distance, against floaters (0: all alike);
-    shares: parts of the budget at which the trial of the next rung begins, and that of the last ends, at the latest
-    after so many steps in all (`longest`, of every rung; empty: however many those are);
-    reductions: what is tried to be given up then (climbing.REDUCTIONS); held_out_until: part of the budget from which
-    the held-out views are trained on as well, unless nothing is left to decide before that (1: never).
-    opacity: weight of the opacity prior (engine.opacity_gradient) at the end of the budget, growing from nothing in its
-    first quarter, so that it cannot forbid what is yet to appear.
-    hull: share of the training views that must show a cell of a box as clear, by their transparency, for nothing to be
-    looked for there (hull.clear_cells; 0: everywhere is). coverage: weight of the squared error of alpha
-    (engine.coverage_gradient) beside that of the colors, where photos are cut out. exposure: whether photos are
-    brought to one exposure (exposure.py).
+    Attributes:
+        seconds, steps: Budget: time, or steps if over 0.
+        samples: Density samples per step; the number of rays follows, so that early fog does not slow steps down.
+        rate: Learning rate in value units per step; falls to `final_rate` of itself.
+        smoothness: Weights of the planes' total variation (density, color).
+        near_scaling_distance: Distance, scene units, below which gradients of samples are scaled by the squared
+            distance, against floaters at the cameras; 0: never.
+        kinds: What the field is made of.
+        levels: Capacities to try, coarse to fine.
+        level_ends: Fractions of the budget at which the trial of the next level begins, and that of the last ends.
+        level_max_steps: Steps, counted from the start, at which each level ends at the latest; empty: no maximum.
+        held_out_until: Fraction of the budget from which the held-out views are trained on as well, unless everything
+            is decided before (1: never).
+        prunings: What to try to prune afterwards (capacity_search.PRUNINGS).
+        min_gain: dB that held-out views must gain for a larger field.
+        background: white, black, random or none.
+        lit_share: Fraction of rays that go through pixels near something opaque.
+        force_growth: Take every level, whatever it gains.
+        opacity: Final weight of the opacity prior (engine.opacity_gradient). It rises from 0 after the first quarter of
+            the budget, so that it cannot suppress what has not appeared yet.
+        visual_hull: Fraction of the training views that must show a cell of a box as empty, by their alpha, to exclude
+            it (visual_hull.clear_cells; 0: exclude none).
+        coverage: Weight of the squared error of alpha beside that of the colors, for cut-out photos.
+        exposure: on, off, or auto: bring photos to one exposure if they clearly differ (exposure.py).
     """
 
     seconds: float = 300.0
@@ -32,46 +46,87 @@ class FitSettings:
     final_rate: float = 0.05
     degree: int = 1
     smoothness: tuple[float, float] = (0.0, 0.0)
-    even_from: float = 0.0
+    near_scaling_distance: float = 0.0
     kinds: Kinds = field(default_factory=Kinds)
-    ladder: tuple[CapacityLevel, ...] = LADDER
-    shares: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
-    longest: tuple[int, ...] = ()
+    levels: tuple[CapacityLevel, ...] = LEVELS
+    level_ends: tuple[float, ...] = (0.1, 0.22, 0.38, 0.55)
+    level_max_steps: tuple[int, ...] = ()
     held_out_until: float = 0.75
-    reductions: tuple[str, ...] = ("density ranks", "resolution", "color ranks", "color resolution", "degree")
+    prunings: tuple[str, ...] = ("density ranks", "resolution", "color ranks", "color resolution", "degree")
     min_gain: float = 0.1
-    background: str = "white"  # white, black, random or none
+    background: str = "white"
     lit_share: float = 0.9
-    always_climb: bool = False  # take every rung whatever it gains
+    force_growth: bool = False
     opacity: float = 0.0
-    hull: float = 0.0
+    visual_hull: float = 0.0
     coverage: float = 0.0
-    exposure: str = "off"  # on, off, or auto: where photos differ plainly
+    exposure: str = "off"
+
+
+@dataclass
+class Trial:
+    """A change of capacity on trial.
+
+    Attributes:
+        what: GROW, or the name of a pruning.
+        before: dB of the field before it.
+        level, parameters, pruned: Capacity before it, number of parameters, and what was pruned.
+        began_at, extended_until: Progress at which a level began, and to which its trial is extended.
+        from_step, until_step: Steps between which a pruning is on trial.
+    """
+
+    what: str
+    before: float
+    level: CapacityLevel
+    parameters: int
+    pruned: dict[str, int] = field(default_factory=dict)
+    began_at: float = 0.0
+    extended_until: float = 0.0
+    from_step: int = 0
+    until_step: int = 0
+
+    @property
+    def grows(self) -> bool:
+        """Whether a larger level is on trial."""
+        return self.what == GROW
 
 
 @dataclass
 class FitState:
-    """Everything a checkpoint holds beside the arrays."""
+    """Everything that a checkpoint holds beside the arrays."""
 
     step: int = 0
     seconds: float = 0.0
-    rung: int = 0
-    fixed: bool = False  # the ladder has been left: no more growth
-    given_up: dict[str, int] = field(default_factory=dict)  # of the rung, by its fields' names
-    climbed: float | None = None  # dB by which the present rung was kept; None: no rung was climbed
-    decided: bool = False  # nothing more is to be tried
-    refused: list[str] = field(default_factory=list)  # reductions that lost too much
-    whole: float | None = None  # the best held-out dB from which anything was given up
-    trial: dict | None = None  # see climbing.Climb
+    level: int = 0
+    growth_ended: bool = False
+    pruned: dict[str, int] = field(default_factory=dict)  # changed fields of the level
+    level_gain: float | None = None  # dB by which the present level was kept; None: there was no growth
+    decided: bool = False  # nothing is left to try
+    rejected: list[str] = field(default_factory=list)  # prunings that lost too much
+    unpruned: float | None = None  # best held-out dB from which anything was pruned
+    trial: Trial | None = None
     sizes: list[dict] = field(default_factory=list)  # what each change of size brought
     rate_scale: float = 1.0
     rollbacks: int = 0
     parts: int = 1
     rays: int = 1024
     best: float = -math.inf
-    stands: dict[str, float] = field(default_factory=dict)  # dB of what stands, of views `held out` and `trained on`
-    anchored: dict[str, float] = field(default_factory=dict)  # the same of what a return leads to
-    ended_at: float | None = None  # part of the budget after which no more returns were left
+    quality: dict[str, float] = field(default_factory=dict)  # dB of the field, on views `held out` and `trained on`
+    anchor_quality: dict[str, float] = field(default_factory=dict)  # the same of the anchor
+    ended_at: float | None = None  # fraction of the budget after which no rollbacks were left
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
-    stops: list[float] | None = None  # by which photos are overexposed; empty: all alike; None: not judged
+    stops: list[float] | None = None  # overexposure of the photos; empty: all alike; None: not judged
+
+    def as_json(self) -> dict[str, Any]:
+        """As a JSON value."""
+        return asdict(self) | {"best": self.best if math.isfinite(self.best) else None}
+
+    @staticmethod
+    def from_json(data: dict[str, Any]) -> "FitState":
+        """From as_json()."""
+        state = FitState(**data)
+        state.best = -math.inf if state.best is None else state.best
+        if data["trial"] is not None:
+            state.trial = Trial(**data["trial"] | {"level": CapacityLevel(**data["trial"]["level"])})
+        return state

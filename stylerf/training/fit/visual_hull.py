@@ -1,4 +1,4 @@
-"""What cut-out photos show to be clear: all that lies outside of the object's visual hull (Laurentini 1994)."""
+"""Cells that cut-out photos show to be empty: outside the object's visual hull (Laurentini 1994)."""
 
 from collections.abc import Iterable
 
@@ -8,16 +8,16 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.visual_hull import count_clear
 
-NOTHING = 8  # alpha, of 255, up to which a pixel shows nothing: what compressed masks leave there
+EMPTY = 8  # alpha, of 255, up to which a pixel is empty: compressed masks leave some
 
 
 def clear_cells(
-    cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, chunks: int
+    cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, threads: int
 ) -> np.ndarray:
-    """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and two, show as clear.
+    """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and at least two, clear.
 
-    A view sees a cell if all of it lies in the picture, and shows it as clear if its alpha (uint8 [h, w]) is nothing
-    all over the cell's ball and a pixel around it. One mask that is wrong, or cut off, clears nothing.
+    A view sees a cell that lies entirely in the image, and clears it if its alpha (uint8 [h, w]) is empty all over the
+    cell's bounding ball and a pixel around it. A single wrong or cut-off mask clears nothing.
     """
     corners = space.unwarp(np.array([[0.0, 0, 0], [1, 1, 1]]))
     low, width = corners[0].astype(np.float32), ((corners[1] - corners[0]) / cells).astype(np.float32)
@@ -25,8 +25,8 @@ def clear_cells(
     seen, clear = np.zeros(cells**3, np.int32), np.zeros(cells**3, np.int32)
     for camera, alpha in zip(cameras, alphas):
         sums = np.zeros((camera.height + 1, camera.width + 1), np.int32)
-        np.cumsum(np.cumsum(alpha > NOTHING, 0, dtype=np.int32), 1, out=sums[1:, 1:])
+        np.cumsum(np.cumsum(alpha > EMPTY, 0, dtype=np.int32), 1, out=sums[1:, 1:])
         pose = np.ascontiguousarray(camera.world_from_camera[:3], np.float32)
         lens = (np.float32(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
-        count_clear(sums, pose, *lens, low, width, cells, radius, chunks, seen, clear)
+        count_clear(sums, pose, *lens, low, width, cells, radius, threads, seen, clear)
     return clear >= np.maximum(2, np.ceil(share * seen))

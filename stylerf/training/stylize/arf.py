@@ -1,177 +1,125 @@
-"""Stylize a whole scene with one painting: its colors alone (ARF, Zhang et al. 2022) or its shapes too (DeSRF).
+"""Stylize a scene with one image: its colors alone (ARF, Zhang et al. 2022), or its shapes too (DeSRF).
 
-The new color is taught the painting one view a step, and with it the deformation, where there is one.
+Each step compares one rendered view with the style image. The gradient of the image goes back to rays of the view
+(deferred back-propagation), and through them to the new color and, if there is one, the deformation.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
-import torch
+from torch import Tensor
 
-from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement_grid import at_rest
-from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.training.deform.backend import deformer_on
-from stylerf.training.deform.deformer import Deformer
-from stylerf.training.stylize.geometry import MovingGeometry
-from stylerf.training.stylize.settings import StyleSettings
-from stylerf.training.stylize.trainer import MEMORY, PIXELS_AT_ONCE, StylizationTrainer
+from stylerf.training.stylize.method import StyleMethod
+from stylerf.training.stylize.scene import PIXELS_AT_ONCE, StyledScene
+from stylerf.training.stylize.view_loss import ImageLoss, ViewLoss
 
-BESIDE = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
-COARSEST_STEP = 1 / 128  # cube units; of a field whose rays are walked anew in every step
-# Style steps in which the rate of shapes rises. Adam's first steps have no past, and weights of one sign move together:
-# the whole scene would slide by some cells, which a short stylization does not undo.
-SHAPE_RAMP = 10
+AROUND = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
+# Style steps in which the deformation's rate rises. Adam's first steps have no history, and weights of one sign move
+# together: the whole scene would slide by some cells, which a short stylization does not undo.
+DEFORM_RAMP = 10
 
 
-class ArfTrainer(StylizationTrainer):
-    """deformation: moves the shapes too, from how it stands (DeSRF); None holds them fast (ARF).
+class ViewStep:
+    """A step on one view: render it, take the gradient of its loss, add it to the scene's gradients.
 
-    device: where rays are followed, through shapes that move too. The rest: see Repainting.
+    loss_of_view: the loss of a view's image. to_device: an image [h, w, 3] as [3, h, w] where the loss wants it.
     """
 
     def __init__(
         self,
-        scene: RadianceField,
-        cameras: list[Camera],
-        photos: Sequence[np.ndarray],
-        background: float,
-        painting: torch.Tensor,
-        trunk: FeatureExtractor,
-        settings: StyleSettings,
-        seed: int,
-        chunks: int,
-        new_color: Callable[[np.random.Generator, float], object],
-        deformation: Deformation | None = None,
-        memory: float = MEMORY,
-        device: str | None = None,
-        within: np.ndarray | None = None,
+        scene: StyledScene,
+        loss_of_view: Callable[[int], ImageLoss],
+        to_device: Callable[[np.ndarray], Tensor],
     ) -> None:
-        self._deformation: Deformation | None = deformation
-        self.deformer: Deformer | None = None
-        self.around = BESIDE if deformation is not None else 0
-        self._remembered: dict[int, np.ndarray] = {}
-        given = scene, cameras, photos, background, painting, trunk, settings, seed, chunks, new_color
-        super().__init__(*given, memory, device, within)
+        self.scene, self.loss_of_view, self.to_device = scene, loss_of_view, to_device
+        self.last_renders: dict[int, np.ndarray] = {}
 
-    def _prepare_shapes(self) -> None:
-        if self._deformation is not None:
-            vertices = self.settings.displacement_vertices
-            at_rest(self.field)  # by the step that its densities were fitted with
-            # A walk costs by its samples, and its step cannot change later: colors are learned where it samples them.
-            self.field.step = max(self.field.step, COARSEST_STEP)
-            given = self.field, self._deformation, self.cameras, vertices, self.seed, self.chunks
-            self.deformer = deformer_on(self.device, *given, self.settings.clip)
-
-    def _phase_begins(self) -> None:
-        if self.deformer is not None:
-            s = self.settings
-            self.geometry = self._moving()(
-                self.field, self.cameras, s.share, self.chunks, float(self.background), self.deformer, self.still
-            )
-
-    def _moving(self) -> type[MovingGeometry]:
-        if self.device is None:
-            return MovingGeometry
-        from stylerf.training.stylize.geometry_gpu import GpuMovingGeometry
-
-        return GpuMovingGeometry
-
-    def _collect(self) -> None:
-        super()._collect()
-        if self.deformer is not None:
-            self.deformer.collect()
-
-    # -- a step -----------------------------------------------------------------------------------------------------
-
-    def _step(self) -> dict[str, float]:
-        return self.style_step()
-
-    def style_step(self) -> dict[str, float]:
-        """One view towards the painting; the parts of the loss."""
-        settings, view = self.settings, self._view_of_step()
-        generator = np.random.default_rng([self.seed, 4, self.state.step])
-        camera = self.cameras[view]
+    def learn(self, generator: np.random.Generator) -> dict[str, float]:
+        """Add the gradients of the step's view; the parts of its loss."""
+        scene, settings, view = self.scene, self.scene.settings, self.view_of_step()
+        camera = scene.cameras[view]
         pixels = selected_pixels(settings.strategy, camera.height, camera.width, settings.dilation, generator)
-        picture, kept = self._picture(view, pixels)
-        gradient, parts = self._gradient(view, picture)
+        image, record = self.image(view, pixels)
+        gradient, parts = self.gradient(view, image)
         chosen = selected_gradient(gradient, pixels, settings.blur)
-        if kept is not None:
-            self.geometry.learn(kept, chosen, self.adam.gradients)
-        else:
-            for at in range(0, len(pixels), PIXELS_AT_ONCE):
-                part = slice(at, at + PIXELS_AT_ONCE)
-                _, kept_part = self.geometry.paint(view, pixels[part])
-                self.geometry.learn(kept_part, chosen[part], self.adam.gradients)
-        parts |= self._also_learn(generator)
-        falling = settings.final_rate**self.progress
-        self.adam.step(settings.rate * falling)
-        if self.deformer is not None:
-            weight = settings.displacement_weight
-            rising = min(1.0, (self.state.step + 1) / SHAPE_RAMP)
-            parts["displacement"] = self.deformer.step(settings.deform_rate * falling * rising, weight)
+        if record is not None:
+            scene.geometry.learn(record, chosen, scene.adam.gradients)
+            return parts
+        for at in range(0, len(pixels), PIXELS_AT_ONCE):
+            part = slice(at, at + PIXELS_AT_ONCE)
+            _, record = scene.geometry.paint(view, pixels[part])
+            scene.geometry.learn(record, chosen[part], scene.adam.gradients)
         return parts
 
-    def _also_learn(self, generator: np.random.Generator) -> dict[str, float]:
-        """Adds gradients of what is asked for beside the view's picture; its parts of the loss."""
-        return {}
+    def view_of_step(self) -> int:
+        """The view of the present step: each shown view once per epoch, in a new order each time."""
+        scene = self.scene
+        epoch, at = divmod(scene.state.step, len(scene.shown))
+        order = np.random.default_rng([scene.problem.seed, 3, epoch]).permutation(len(scene.shown))
+        return scene.shown[int(order[at])]
 
-    def _view_of_step(self) -> int:
-        """Every view that shows what is stylized once an epoch, in an order drawn anew for each."""
-        epoch, at = divmod(self.state.step, len(self.shown))
-        return self.shown[int(np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.shown))[at])]
-
-    def _picture(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | None]:
-        """Premultiplied rgb of the whole view [h*w, 3], and what the selected pixels need to learn (None: repaint)."""
-        whole = len(pixels) == self.cameras[view].width * self.cameras[view].height
-        if whole:
-            if self.settings.strategy == "full":
-                return self.geometry.paint(view, pixels)
-            return self.paint_view(view), None
-        if not self.settings.remember:
-            self._remembered[view] = self.paint_view(view)
-        elif view not in self._remembered:
-            self._remembered[view] = self.paint_view(view, self.still)
-        painted, kept = self.geometry.paint(view, pixels)
-        picture, settings = self._remembered[view], self.settings
+    def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | list | None]:
+        """Premultiplied rgb of the whole view [h*w, 3], and the record of the selected pixels (None: render again)."""
+        scene, settings = self.scene, self.scene.settings
+        camera = scene.cameras[view]
+        if len(pixels) == camera.width * camera.height:
+            if settings.strategy == "full":
+                return scene.geometry.paint(view, pixels)
+            return scene.render(view), None
+        if not settings.remember:
+            self.last_renders[view] = scene.render(view)
+        elif view not in self.last_renders:
+            self.last_renders[view] = scene.render(view, scene.fixed)
+        rendered, record = scene.geometry.paint(view, pixels)
+        image = self.last_renders[view]
         if settings.strategy == "dilated":
-            camera = self.cameras[view]
-            changes = painted - picture[pixels]
-            picture += spread_over_picture(changes, pixels, camera.height, camera.width, settings.dilation)
-        picture[pixels] = painted
-        return picture, kept
+            changes = rendered - image[pixels]
+            image += spread_over_picture(changes, pixels, camera.height, camera.width, settings.dilation)
+        image[pixels] = rendered
+        return image, record
 
-    def _gradient(self, view: int, premultiplied: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
-        """dL/d(picture) [h, w, 3] and the parts of the loss."""
-        camera = self.cameras[view]
+    def gradient(self, view: int, premultiplied: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
+        """dL/d(image) [h, w, 3] of premultiplied rgb [h*w, 3], and the parts of the loss."""
+        scene, camera = self.scene, self.scene.cameras[view]
         rgb = premultiplied.reshape(camera.height, camera.width, 3)
-        if not self.closed:
-            rgb = rgb + (1 - self.geometry.alpha(view)[..., None]) * self.background
-        picture = self._there(rgb).requires_grad_()
-        loss, parts = self._loss(view, picture)
+        if not scene.field.opaque_background:
+            rgb = rgb + (1 - scene.geometry.alpha(view)[..., None]) * scene.background
+        image = self.to_device(rgb).requires_grad_()
+        loss, parts = self.loss_of_view(view)(image)
         loss.backward()
-        return picture.grad.permute(1, 2, 0).contiguous().cpu().numpy(), parts
+        return image.grad.permute(1, 2, 0).contiguous().cpu().numpy(), parts
 
-    def _loss(self, view: int, picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
-        """Of a view's picture [3, h, w] over the background: the loss and its parts."""
-        return self.objective(picture, self._content_of(view), self._alpha_there(view), self.windows[view])
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        return {f"seen.{view}": image.astype(np.float32) for view, image in self.last_renders.items()}
 
-    # -- checkpoints ------------------------------------------------------------------------------------------------
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays()."""
+        self.last_renders = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
 
-    def _own_arrays(self) -> dict[str, np.ndarray]:
-        arrays = {f"seen.{view}": picture.astype(np.float32) for view, picture in self._remembered.items()}
-        if self.deformer is not None:
-            arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
-            if self.state.phase != "refit":
-                arrays |= {f"alpha.{view}": alpha for view, alpha in self.geometry.alphas.items()}
-        return arrays
 
-    def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
-        self._remembered = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
-        if self.deformer is not None:
-            self.deformer.restore({k[7:]: v for k, v in arrays.items() if k.startswith("deform.")})
-            if self.state.phase != "refit":
-                self.geometry.alphas = {int(k[6:]): v.copy() for k, v in arrays.items() if k.startswith("alpha.")}
+class Arf(StyleMethod):
+    """ARF; with a deformation in the scene, DeSRF."""
+
+    def __init__(self, scene: StyledScene, extractor: FeatureExtractor) -> None:
+        super().__init__(scene)
+        self.loss = ViewLoss(scene, extractor, around=0 if scene.deformer is None else AROUND)
+        self.view_step = ViewStep(scene, self.loss.of_view, self.loss.to_device)
+
+    def step(self) -> dict[str, float]:
+        scene, settings, step = self.scene, self.scene.settings, self.scene.state.step
+        parts = self.view_step.learn(np.random.default_rng([scene.problem.seed, 4, step]))
+        decay = settings.final_rate**scene.budget.progress
+        scene.adam.step(settings.rate * decay)
+        if scene.deformer is not None:
+            rate = settings.deform_rate * decay * min(1.0, (step + 1) / DEFORM_RAMP)
+            parts["displacement"] = scene.deformer.step(rate, settings.displacement_weight)
+        return parts
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return self.view_step.arrays()
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        self.view_step.restore(arrays)

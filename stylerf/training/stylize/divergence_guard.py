@@ -1,55 +1,67 @@
-"""A stylization that leaves the finite numbers goes back to where it was last sound, and on at half the rate."""
+"""Rolls a stylization back to its last finite state, at half the learning rate, after a loss that is not finite."""
 
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.training.stylize.settings import StyleSettings, StyleState
 
-KEEP_EVERY = 25  # steps: what is kept is a checkpoint in memory, its copy costs about a tenth of a step
+KEEP_EVERY = 25  # steps between snapshots; copying one takes about a tenth of a step
 
 
 def finite(arrays: dict[str, np.ndarray]) -> bool:
-    """Whether every value is."""
+    """Whether all values are finite."""
     return all(np.isfinite(values).all() for values in arrays.values())
 
 
-class DivergenceGuard:
-    """asked: settings as they were asked for; their `rollbacks` of 0 keeps nothing and never goes back.
+class Resumable(Protocol):
+    """What a guard can roll back."""
 
-    What is kept is in no checkpoint: a resumed run goes back to where it was resumed, or to what it has kept since.
-    What it guards has checkpoint() and resume().
+    @property
+    def state(self) -> StyleState: ...
+
+    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]: ...
+
+    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None: ...
+
+
+class DivergenceGuard:
+    """Keeps snapshots, in memory only: a resumed run can roll back no further than to where it was resumed.
+
+    initial: the settings before any rollback; with `rollbacks` of 0 nothing is kept.
     """
 
-    def __init__(self, asked: StyleSettings) -> None:
-        self.asked, self.most = asked, asked.rollbacks
-        self._kept: tuple[dict, dict[str, np.ndarray]] | None = None
+    def __init__(self, initial: StyleSettings) -> None:
+        self.initial = initial
+        self._snapshot: tuple[StyleState, dict[str, np.ndarray]] | None = None
 
-    def paced(self, settings: StyleSettings, state: StyleState) -> StyleSettings:
-        """The settings at the rates that are left after as many returns as the state counts."""
+    def slowed(self, settings: StyleSettings, state: StyleState) -> StyleSettings:
+        """The settings at the learning rates left after the rollbacks that the state counts."""
         rollbacks = state.counts.get("rollbacks", 0)
-        return self.asked.slowed(rollbacks) if rollbacks else settings
+        return self.initial.slowed(rollbacks) if rollbacks else settings
 
-    def look(self, loop: Any) -> None:
-        """After a step whose loss was finite: keeps the state every KEEP_EVERY steps, if it is finite too."""
-        state = loop.state
-        if not self.most or (state.step % KEEP_EVERY and self._kept and self._kept[0]["phase"] == state.phase):
+    def keep(self, trainer: Resumable) -> None:
+        """Take a snapshot every KEEP_EVERY steps, and at each phase's first step, if all arrays are finite."""
+        state, kept = trainer.state, self._snapshot
+        if not self.initial.rollbacks or (state.step % KEEP_EVERY and kept and kept[0].phase == state.phase):
             return
-        _, arrays = loop.checkpoint()
+        _, arrays = trainer.checkpoint()
         if not finite(arrays):
-            return  # a gradient may have left the numbers where the loss had not
-        kept = {"phase": state.phase, "step": state.step, "counts": dict(state.counts), "told": len(state.curve)}
-        self._kept = kept, {name: np.array(values, copy=True) for name, values in arrays.items()}
+            return  # a gradient may have spoiled the values although the loss was finite
+        at = StyleState(state.phase, state.step, state.seconds, list(state.curve), dict(state.counts))
+        self._snapshot = at, {name: np.array(values, copy=True) for name, values in arrays.items()}
 
-    def go_back(self, loop: Any, parts: dict[str, float]) -> None:
-        """To the last kept state, its time and its count of returns going on; Diverged where that cannot be."""
-        state = loop.state
-        told = f"{state.phase} step {state.step}: the loss left the finite numbers ({parts})"
+    def roll_back(self, trainer: Resumable, parts: dict[str, float]) -> None:
+        """Restore the last snapshot; its clock and its count of rollbacks go on.
+
+        Raises:
+            Diverged: No rollback is left, or no snapshot of this phase.
+        """
+        state = trainer.state
         rollbacks = state.counts.get("rollbacks", 0) + 1
-        if rollbacks > self.most or self._kept is None or self._kept[0]["phase"] != state.phase:
-            raise Diverged(told)
-        kept, arrays = self._kept
-        counts = {**kept["counts"], "rollbacks": rollbacks}
-        there = {"step": kept["step"], "counts": counts, "curve": state.curve[: kept["told"]]}
-        loop.resume({"state": vars(state) | there}, arrays)
+        if rollbacks > self.initial.rollbacks or self._snapshot is None or self._snapshot[0].phase != state.phase:
+            raise Diverged(f"{state.phase} step {state.step}: the loss is not finite ({parts})")
+        at, arrays = self._snapshot
+        counts = {**at.counts, "rollbacks": rollbacks}
+        trainer.resume({"state": vars(state) | {"step": at.step, "counts": counts, "curve": list(at.curve)}}, arrays)

@@ -1,4 +1,4 @@
-"""How a stylization sees its scene: fixed surfaces that are colored, or rays walked anew through a deforming field."""
+"""How a stylization renders its scene: fixed surfaces that are only colored, or rays through a deforming field."""
 
 import numpy as np
 
@@ -10,27 +10,41 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.training.common.adam import Adam
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Deformer
 
 RAYS_AT_ONCE = 8192
-OPAQUE = 1e-2  # transmittance at which a walked ray ends
+OPAQUE = 1e-2  # transmittance at which a ray ends
 
 
 class FixedGeometry:
-    """Colors on surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
+    """Surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
 
-    share: part of a ray's largest weight that a sample needs to take part. What learns is the same from everywhere.
+    What learns is field.color, which looks the same from every direction. weight_threshold: fraction of a ray's
+    largest weight below which a sample is left out.
     """
 
     def __init__(
-        self, field: RadianceField, cameras: list[Camera], share: float, chunks: int, memory: float = 2048e6
+        self,
+        field: RadianceField,
+        cameras: list[Camera],
+        weight_threshold: float,
+        threads: int,
+        memory: float = 2048e6,
     ) -> None:
-        self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
+        self.field, self.cameras, self.weight_threshold, self.threads = field, cameras, weight_threshold, threads
         self._surfaces = BoundedCache(self._marched, lambda surface: surface.bytes, len(cameras), memory)
 
+    def new_adam(self, gradient_clip: float = 0.0) -> Adam:
+        """An optimizer of field.color, its moments at zero."""
+        return Adam(self.field.color.values, self.field.color.groups(), self.threads, gradient_clip)
+
+    def collect(self) -> None:
+        """Copy what was learned into field.color; here it is there already."""
+
     def _marched(self, view: int) -> PackedSurface:
-        return surface_of(self.field, self.cameras[view], self.share, self.chunks)
+        return surface_of(self.field, self.cameras[view], self.weight_threshold, self.threads)
 
     def surface(self, view: int) -> PackedSurface:
         """The samples of a view."""
@@ -41,30 +55,30 @@ class FixedGeometry:
         return self.surface(view).alpha
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
-        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
         points = self.surface(view).samples(pixels)
         color, basis = self.field.color, None
-        if not isinstance(color, HashColor):  # what lies under a part's own colors is seen from somewhere
+        if not isinstance(color, HashColor):  # the color below a region's own depends on the direction
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
-        colors = color.colors(points, basis, self.chunks)
+        colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
         shade(points, colors, out)
         return out, (points, colors)
 
-    def learn(self, kept: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the chunks' buffers."""
-        points, colors = kept
+    def learn(self, record: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
+        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the threads' buffers."""
+        points, colors = record
         color_gradients = np.empty_like(points.x)
         shade_backward(points, gradients, color_gradients)
         self.field.color.backward(points, None, colors, color_gradients, color_to)
 
 
 class MovingGeometry:
-    """Rays walked anew through a field that deforms, which learn its colors and its deformation.
+    """Rays through a deforming field, marched again each time, which learn its colors and its deformation.
 
-    share: part of a ray's largest weight that a sample needs to be colored. background: level of gray behind the
-    field, which shows where a moving silhouette lets it; not used for a closed scene. still: the same field before
-    anything moved; a view that was not painted yet has the alpha that it has there.
+    weight_threshold: fraction of a ray's largest weight below which a sample is not colored. background: gray level
+    behind the field, which shows where a moving silhouette lets it; unused if the background is opaque. fixed: the
+    field before anything moved; a view that was not rendered yet has the alpha that it has there.
     """
 
     rays_at_once = RAYS_AT_ONCE
@@ -73,46 +87,46 @@ class MovingGeometry:
         self,
         field: RadianceField,
         cameras: list[Camera],
-        share: float,
-        chunks: int,
+        weight_threshold: float,
+        threads: int,
         background: float,
         deformer: Deformer,
-        still: FixedGeometry,
+        fixed: FixedGeometry,
     ) -> None:
-        self.field, self.cameras, self.share, self.chunks = field, cameras, share, chunks
-        self.background, self.deformer, self.still = np.float32(background), deformer, still
+        self.field, self.cameras, self.weight_threshold, self.threads = field, cameras, weight_threshold, threads
+        self.background, self.deformer, self.fixed = np.float32(background), deformer, fixed
         self.alphas: dict[int, np.ndarray] = {}
 
     def alpha(self, view: int) -> np.ndarray:
-        """[h, w], each pixel as it was last painted."""
+        """[h, w], each pixel as last rendered."""
         if view not in self.alphas:
-            self.alphas[view] = self.still.alpha(view).ravel().copy()
+            self.alphas[view] = self.fixed.alpha(view).ravel().copy()
         return self.alphas[view].reshape(self.cameras[view].height, self.cameras[view].width)
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
-        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
         camera, alphas = self.cameras[view], self.alpha(view).reshape(-1)
-        rgb, kept = np.empty((len(pixels), 3), np.float32), []
+        rgb, record = np.empty((len(pixels), 3), np.float32), []
         for at in range(0, len(pixels), self.rays_at_once):
             part = slice(at, min(at + self.rays_at_once, len(pixels)))
             chosen = pixels[part]
             out, rendered = self._rendered(camera, chosen)
             rgb[part] = out[:, :3]
             alphas[chosen] = np.clip(out[:, 3], 0, 1)
-            kept.append((part, rendered))
-        return rgb, kept
+            record.append((part, rendered))
+        return rgb, record
 
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
-        """[n, 5] of pixels [n] of a view, and what _backward needs."""
+        """Rendered pixels [n, 5], and what _backward needs."""
         rays = Rays.of(*camera.rays(pixels), self.field.space.near)
         rendered = render_rays(
-            self.field, rays, threads=self.chunks, min_transmittance=OPAQUE, weight_threshold=self.share
+            self.field, rays, threads=self.threads, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold
         )
         return rendered.out, rendered
 
-    def learn(self, kept: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add dL/d(color values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the chunks' buffers."""
-        for part, rendered in kept:
+    def learn(self, record: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
+        """Add dL/d(color values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the threads' buffers."""
+        for part, rendered in record:
             to = np.zeros((len(rendered.out), 5), np.float32)
             to[:, :3] = gradients[part]
             if not self.field.opaque_background:
@@ -120,5 +134,5 @@ class MovingGeometry:
             self._backward(rendered, to, color_to)
 
     def _backward(self, rendered: Rendered, gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add what dL/d(pixels) [n, 5] teaches."""
+        """Add the gradients of values and grid, from dL/d(pixels) [n, 5]."""
         backward(self.field, rendered, gradients, None, color_to, self.deformer.gradients)

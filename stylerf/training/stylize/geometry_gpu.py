@@ -1,4 +1,4 @@
-"""How a stylization sees its scene on a GPU: fixed surfaces, marched once and kept there, or rays walked anew."""
+"""How a stylization renders its scene on a GPU: as geometry.py, all arrays staying on the device."""
 
 import numpy as np
 import torch
@@ -22,14 +22,24 @@ MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
 
 
 class GpuFixedGeometry:
-    """stylerf/training/stylize/geometry.py's FixedGeometry: numpy in and out, all between on `device`.
+    """FixedGeometry on `device`: numpy in and out, everything between on the device.
 
-    field.color is what is taught, from new_adam() on; collect() brings it back. share: part of a ray's largest weight
-    that a sample needs to take part. Surfaces are kept in up to half of the memory that the device has free.
+    What learns is a copy of field.color, made by new_adam(); collect() copies it back. Surfaces are kept in up to half
+    of the device's free memory; threads and memory are the CPU's, and unused.
     """
 
-    def __init__(self, field: RadianceField, cameras: list[Camera], share: float, device: str | torch.device) -> None:
-        self.field, self.cameras, self.share, self.device = field, cameras, share, torch.device(device)
+    def __init__(
+        self,
+        field: RadianceField,
+        cameras: list[Camera],
+        weight_threshold: float,
+        threads: int,
+        memory: float,
+        *,
+        device: str | torch.device,
+    ) -> None:
+        self.field, self.cameras, self.weight_threshold = field, cameras, weight_threshold
+        self.device = torch.device(device)
         self._marched = GpuField(field, self.device)
         self.memory_bytes = free_on(self.device, 2 * MEMORY_BYTES) / 2
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
@@ -37,18 +47,18 @@ class GpuFixedGeometry:
         self._alphas: dict[int, np.ndarray] = {}
         self._color = None
 
-    def new_adam(self, clip: float = 0.0) -> GpuAdam:
-        """An optimizer of field.color as it now stands, copied to the device. clip: see DeviceAdam."""
+    def new_adam(self, gradient_clip: float = 0.0) -> GpuAdam:
+        """An optimizer of a copy of field.color, its moments at zero."""
         self._color = COLOR_KINDS[self.field.color.kind](self.field.color, self.device)
-        return GpuAdam(self._color.values, self._color.groups, clip)
+        return GpuAdam(self._color.values, self._color.groups, gradient_clip)
 
     @property
     def color(self):
-        """What is taught, on the device; None before new_adam()."""
+        """The color that learns, on the device; None before new_adam()."""
         return self._color
 
     def collect(self) -> None:
-        """Bring what was learned into field.color."""
+        """Copy what was learned into field.color."""
         if self._color is not None:
             self.field.color.values[:] = self._color.values.cpu().numpy()
 
@@ -71,7 +81,7 @@ class GpuFixedGeometry:
             rays = rays_of(camera, torch.arange(begin, end, device=self.device))
             s = self._marched.march(rays, 512, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
-            shown = (s.weights > 0) & (s.weights >= self.share * s.largest[ray])
+            shown = (s.weights > 0) & (s.weights >= self.weight_threshold * s.largest[ray])
             sums = torch.zeros((2, n), device=self.device)
             sums[0].index_add_(0, ray, s.weights)
             sums[1].index_add_(0, ray[shown], s.weights[shown])
@@ -101,7 +111,7 @@ class GpuFixedGeometry:
         return self._alphas[view]
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[GpuSamples, Tensor]]:
-        """Premultiplied rgb [n, 3] of pixels, and what learn() needs."""
+        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
         offsets, x, weights = self._samples(view)
         chosen = torch.from_numpy(np.ascontiguousarray(pixels)).to(self.device)
         counts = offsets[chosen + 1] - offsets[chosen]
@@ -120,29 +130,29 @@ class GpuFixedGeometry:
         colors = self._color.visible_colors(samples, directions, 0.0)
         return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
-    def learn(self, kept: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
+    def learn(self, record: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
         """Add dL/d(color values), from dL/d(rgb) [n, 3], to the flat buffer."""
-        samples, colors = kept
-        given = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
-        to_colors = launch.shade_backward(samples, given)
+        samples, colors = record
+        towards = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
+        to_colors = launch.shade_backward(samples, towards)
         self._color.backward(samples, None, colors, to_colors, color_to)
 
 
 class GpuMovingGeometry(MovingGeometry):
-    """Pixels and their gradients are numpy, all between stays on the device of `deformer`, a DeviceDeformer.
+    """MovingGeometry on the device of `deformer`, a GpuDeformer: pixels and their gradients are numpy.
 
-    What is taught are the colors of `still`, a DeviceFixedGeometry, and the deformation.
+    What learns are the colors of `fixed`, a GpuFixedGeometry, and the deformation.
     """
 
     rays_at_once = RAYS_AT_ONCE
 
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, GpuRendered]:
-        live = self.deformer.live
-        live.color = self.still.color  # each phase teaches a copy of its own
-        rays = rays_of(camera, sent(pixels, live.device))
-        rendered = live.render_rays(rays, min_transmittance=OPAQUE, weight_threshold=self.share)
+        field = self.deformer.device_field
+        field.color = self.fixed.color  # each phase has its own copy
+        rays = rays_of(camera, sent(pixels, field.device))
+        rendered = field.render_rays(rays, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold)
         return rendered.out.cpu().numpy(), rendered
 
     def _backward(self, rendered: GpuRendered, gradients: np.ndarray, color_to: Tensor) -> None:
-        live = self.deformer.live
-        live.backward(rendered, sent(gradients, live.device), None, color_to, self.deformer.gradients)
+        field = self.deformer.device_field
+        field.backward(rendered, sent(gradients, field.device), None, color_to, self.deformer.gradients)

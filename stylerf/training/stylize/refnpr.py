@@ -1,16 +1,15 @@
-"""Stylize a whole scene after one or a few of its views that are given stylized (Ref-NPR, Zhang et al. 2023).
+"""Stylize a scene after one or a few stylized views of it (Ref-NPR, Zhang et al. 2023).
 
     refit       the new color learns the photos
-    reference   where a reference is to be made: the view's photo, painted in 2D (style/painted_picture)
-    style       each step: colors of the reference on its own rays, and on the rays of other views that see the same
-                surface (rendering/registration); and one view's picture by its correspondences (style/template).
-                In the last quarter correspondences are sought between renders, as the field then shows them.
+    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_optimization.py)
+    style       in each step, colors of the reference on its own rays and on rays of other views that see the same
+                surface (rendering/ray_registration.py), and one view by its correspondences with the reference
+                (style/reference_features.py); in the last quarter correspondences are sought between renders
 
 The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + color +
-variation, in the last quarter of the style steps w (...) + 0.2 style + variation.
+variation; in the last quarter of the style steps, w (...) + 0.2 style + variation.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -23,283 +22,319 @@ from stylerf.style.image_optimization import ImageOptimization
 from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective
 from stylerf.style.style_objective import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.stylize.arf import ArfTrainer
+from stylerf.training.stylize.arf import ViewStep
 from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
-from stylerf.training.stylize.trainer import CONTENT
+from stylerf.training.stylize.method import StyleMethod
+from stylerf.training.stylize.scene import CONTENT, PhaseBudget, StyledScene
+from stylerf.training.stylize.view_loss import ImageLoss, ViewLoss
 
 LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
-PAINTING_SHARE = 1 / 3  # of the budget, that painting references may take
-NOTHING = 0.01  # coverage under which nothing of an object is seen
+REFERENCE_SHARE = 1 / 3  # of the budget, that making references may take
+EMPTY = 0.01  # coverage below which nothing of an object is seen
 REGISTERED = 0.1  # of the memory
 Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colors [n, 3]
 
 
-class RefNprTrainer(ArfTrainer):
-    """references: by training view, its stylized picture [h, w, 3] over the background; None: painted here, in 2D, by
-    the objective of `painting` (settings.loss) on `trunk`. template_trunk, coarse_trunk: see TemplateObjective.
+class ReferenceBudget(PhaseBudget):
+    """The budget of `made` references and of the style steps after them."""
 
-    Painting counts towards the budget. Shapes are held fast, and must not have been displaced. Of a part of the scene
-    (within) references are that part of their pictures, and the photos beside it; InvalidValue where one shows nothing
-    of it.
+    def __init__(self, scene: StyledScene, made: int) -> None:
+        super().__init__(scene)
+        self.made = made
+
+    @property
+    def steps_of_each(self) -> int:
+        """Steps of each reference that is made."""
+        s = self.scene.settings
+        most = max(1, int(REFERENCE_SHARE * s.steps / self.made)) if s.steps else s.reference_steps
+        return min(s.reference_steps, most)
+
+    @property
+    def steps(self) -> int:
+        making = self.steps_of_each * self.made if self.made else 0
+        s, phase = self.scene.settings, self.scene.state.phase
+        if phase == "reference":
+            return making
+        return max(1, s.steps - making) if phase == "style" and s.steps else super().steps
+
+    @property
+    def progress(self) -> float:
+        s, state = self.scene.settings, self.scene.state
+        if state.phase == "reference":
+            done = state.step / self.steps
+            return min(1.0, done if s.steps else max(done, state.seconds / (REFERENCE_SHARE * s.seconds)))
+        if state.phase != "style":
+            return super().progress
+        making = state.counts.get("painting_ms", 0) / 1000
+        return min(1.0, state.step / self.steps if s.steps else (state.seconds - making) / (s.seconds - making))
+
+
+class RefNpr(StyleMethod):
+    """Ref-NPR. Making references counts towards the budget; shapes stay.
+
+    With a region, references are that part of their images, and the photos beside it.
+
+    Args:
+        extractor: Makes references, by the objective of the style image (settings.loss).
+        references: By training view, its stylized image [h, w, 3] over the background; None: it is made here.
+        matching_extractor, coarse_extractor: See style/reference_features.ReferenceObjective.
+
+    Raises:
+        InvalidValue: The field is displaced, or a reference shows nothing of the region.
     """
 
     def __init__(
         self,
-        *given,
+        scene: StyledScene,
+        extractor: FeatureExtractor,
         references: dict[int, np.ndarray | None],
-        template_trunk: FeatureExtractor,
-        coarse_trunk: FeatureExtractor,
-        **more,
+        matching_extractor: FeatureExtractor,
+        coarse_extractor: FeatureExtractor,
     ) -> None:
-        if given[0].displacement is not None:
-            raise InvalidValue("rays are not registered through a deformation; give a field without one")
+        if scene.field.displacement is not None:
+            raise InvalidValue("rays cannot be registered through a deformation; give a field without one")
+        super().__init__(scene)
         self.references = dict(references)
-        self.to_paint = sorted(view for view, picture in references.items() if picture is None)
-        if self.to_paint:
-            self.PHASES = ("refit", "reference", "style")
-        self._template_trunk, self._coarse_trunk = template_trunk, coarse_trunk
-        self._painted: ImageOptimization | None = None
-        self._template: ReferenceObjective | None = None
-        self._late: dict[int, np.ndarray] = {}  # the references' views as they are when the last quarter begins
-        self._late_keys = None
-        super().__init__(*given, **more)
-        for view, picture in self.references.items():
-            if view not in self.shown:
-                raise InvalidValue(f"view {self.cameras[view].name}, a reference, shows nothing of the region")
-            if picture is not None:
-                self.references[view] = self._asked_for(view, picture)
-        views = len(self.cameras)
-        self._wanted = BoundedCache(self._wanted_of, lambda wanted: wanted.bytes, views, CONTENT * self.memory_there)
-        self._reached = BoundedCache(
-            self._registered_of, lambda found: sum(a.nbytes for a in found), views, REGISTERED * self.memory
-        )
+        self.to_make = sorted(view for view, image in references.items() if image is None)
+        self.phases = ("reference", "style") if self.to_make else ("style",)
+        self.budget = ReferenceBudget(scene, len(self.to_make))
+        scene.budget = self.budget
+        self._matching, self._coarse = matching_extractor, coarse_extractor
+        stride = max(one.stride for one in (extractor, matching_extractor, coarse_extractor))
+        self.loss = ViewLoss(scene, extractor, stride)
+        self.view_step = ViewStep(scene, self.loss_of_view, self.loss.to_device)
+        self._optimized: ImageOptimization | None = None  # the reference that is being made
+        self._objective: ReferenceObjective | None = None
+        self._late_renders: dict[int, np.ndarray] = {}  # the references' views as the last quarter begins
+        self._late_keys: dict | None = None
+        for view, image in self.references.items():
+            if view not in scene.shown:
+                raise InvalidValue(f"view {scene.cameras[view].name}, a reference, shows nothing of the region")
+            if image is not None:
+                self.references[view] = self._within_coverage(view, image)
+        views = len(scene.cameras)
+        self._targets = BoundedCache(self._target, lambda one: one.bytes, views, CONTENT * self.loss.memory)
+        memory = REGISTERED * scene.problem.memory
+        self._registered = BoundedCache(self._register, lambda found: sum(a.nbytes for a in found), views, memory)
         self._points: dict[int, SeenPoints] = {}
 
-    @property
-    def stride(self) -> int:
-        return max(trunk.stride for trunk in (self.trunk, self._template_trunk, self._coarse_trunk))
+    def _within_coverage(self, view: int, image: np.ndarray) -> np.ndarray:
+        """A reference, with the photo beside the region and the background where no object is."""
+        if self.scene.of_region:
+            part = self.scene.coverage(view)[..., None]
+            return part * image + (1 - part) * self.scene.photos[view]
+        if self.scene.field.opaque_background:
+            return image
+        alpha = self.scene.fixed.alpha(view)[..., None]
+        return np.where(alpha > EMPTY, image, self.scene.background).astype(np.float32)
 
-    def _asked_for(self, view: int, picture: np.ndarray) -> np.ndarray:
-        """A reference without what it cannot ask for: beside the part that is stylized, or where no object is."""
-        if self.partial:
-            part = self.counted(view)[..., None]
-            return part * picture + (1 - part) * self.photos[view]
-        if self.closed:
-            return picture
-        return np.where(self.still.alpha(view)[..., None] > NOTHING, picture, self.background).astype(np.float32)
+    def step(self) -> dict[str, float]:
+        return self.reference_step() if self.scene.state.phase == "reference" else self.style_step()
 
-    # -- painting a reference ---------------------------------------------------------------------------------------
-
-    @property
-    def _painting_steps(self) -> int:
-        """Of the picture of each reference that is painted here."""
-        s = self.settings
-        most = max(1, int(PAINTING_SHARE * s.steps / len(self.to_paint))) if s.steps else s.reference_steps
-        return min(s.reference_steps, most)
-
-    @property
-    def steps_of_phase(self) -> int:
-        painting = self._painting_steps * len(self.to_paint) if self.to_paint else 0
-        if self.state.phase == "reference":
-            return painting
-        if self.state.phase == "style" and self.settings.steps:
-            return max(1, self.settings.steps - painting)
-        return super().steps_of_phase
-
-    @property
-    def progress(self) -> float:
-        s, state = self.settings, self.state
-        if state.phase == "reference":
-            done = state.step / self.steps_of_phase
-            return min(1.0, done if s.steps else max(done, state.seconds / (PAINTING_SHARE * s.seconds)))
-        if state.phase != "style":
-            return super().progress
-        painted = state.counts.get("painting_ms", 0) / 1000
-        done = state.step / self.steps_of_phase if s.steps else (state.seconds - painted) / (s.seconds - painted)
-        return min(1.0, done)
-
-    def _step(self) -> dict[str, float]:
-        return self.reference_step() if self.state.phase == "reference" else self.style_step()
+    # -- making a reference -----------------------------------------------------------------------------------------
 
     def reference_step(self) -> dict[str, float]:
-        """One step of the picture of a reference, one after the other; the parts of its loss."""
-        each = self._painting_steps
-        at, step = divmod(self.state.step, each)
-        view = self.to_paint[at]
-        if self._painted is None:
-            self._painted = self._new_picture(view)
-        parts = self._painted.step(self._painting_loss(view), 1 - step / each)
-        self.references[view] = _in_eight_bits(self._painted.pixels())
+        """Take one step of a reference's pixels, one reference after the other; the parts of its loss."""
+        each = self.budget.steps_of_each
+        at, step = divmod(self.scene.state.step, each)
+        view = self.to_make[at]
+        if self._optimized is None:
+            self._optimized = self._new_image(view)
+        parts = self._optimized.step(self.making_loss(view), 1 - step / each)
+        self.references[view] = _in_eight_bits(self._optimized.pixels())
         if step + 1 == each:
-            self._painted_whole(view)
+            self._finish_reference(view)
         return parts
 
-    def _painted_whole(self, view: int) -> None:
-        """A reference has had its steps: it gets the painting's colors, as ARF's result does.
+    def _finish_reference(self, view: int) -> None:
+        """Give a reference the style image's colors, as ARF's result has them.
 
-        Features know little of hue: what is painted by them alone has specks of green and violet.
+        Features know little of hue: what is optimized by them alone has specks of green and violet.
         """
-        if self.settings.match != "none":
-            counted = np.ones_like(self.counted(view)) if self._all_counts else self.counted(view)
-            behind = None if self.partial else self.background
-            picture = ObjectPhotos([self.references[view]], lambda _: counted, behind)
-            matched = picture.mapped(0, rendered_match([picture(0)], self._palette, self.seed))
-            self.references[view] = _in_eight_bits(matched)
-        self._painted = None
+        scene = self.scene
+        if scene.settings.match != "none":
+            coverage = scene.coverage(view)
+            coverage = np.ones_like(coverage) if scene.fills_views else coverage
+            behind = None if scene.of_region else scene.background
+            image = ObjectPhotos([self.references[view]], lambda _: coverage, behind)
+            color_map = rendered_match([image(0)], scene.style_colors, scene.problem.seed)
+            self.references[view] = _in_eight_bits(image.mapped(0, color_map))
+        self._optimized = None
 
-    def _new_picture(self, view: int) -> ImageOptimization:
-        start = self._there(self.photos[view])
-        beside = start if self.partial else float(self.background)
-        return ImageOptimization(start, self._alpha_there(view), beside, self.settings.image_rate)
+    def _new_image(self, view: int) -> ImageOptimization:
+        start, scene = self.loss.to_device(self.scene.photos[view]), self.scene
+        beside = start if scene.of_region else float(scene.background)
+        return ImageOptimization(start, self.loss.coverage(view), beside, scene.settings.image_rate)
 
-    def _painting_loss(self, view: int) -> Callable:
-        content, alpha, window = self._content_of(view), self._alpha_there(view), self.windows[view]
+    def making_loss(self, view: int) -> ImageLoss:
+        """The loss of the reference that is made of a view."""
+        plain, weight = self.loss.of_view(view), self.scene.settings.weights.variation
 
-        def loss(picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
-            found, parts = self.objective(picture, content, alpha, window)
-            return found + self._variation_lacking(view, picture, self.settings.weights.variation), parts
+        def loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
+            found, parts = plain(image)
+            return found + self._missing_variation(view, image, weight), parts
 
         return loss
 
-    def _variation_lacking(self, view: int, picture: torch.Tensor, weight: float) -> torch.Tensor | float:
-        """What the loss of a part lacks of variation, which is a mean over all of the picture as nothing else is."""
-        if not self.partial:
+    def _missing_variation(self, view: int, image: torch.Tensor, weight: float) -> torch.Tensor | float:
+        """What a region's loss lacks of variation, the only part that is a mean over the whole image."""
+        if not self.scene.of_region:
             return 0.0
-        variation = VARIATIONS[self.settings.variation]
-        return (1 / float(self.counted(view).mean()) - 1) * weight * variation(picture)
+        variation = VARIATIONS[self.scene.settings.variation]
+        return (1 / float(self.scene.coverage(view).mean()) - 1) * weight * variation(image)
 
-    def _next_phase(self) -> None:
-        painting, seconds = self.state.phase == "reference", self.state.seconds
-        if painting:
-            self.between_steps = False  # a checkpoint of a picture that is matched already would have it matched again
-            if self._painted is not None:  # a budget of time can end in the midst of one
-                self._painted_whole(self.to_paint[self.state.step // self._painting_steps])
-            for view in self.to_paint:  # or before the turn of the last ones
-                if self.references[view] is None:
-                    self.references[view] = _in_eight_bits(self.photos[view])
-        super()._next_phase()
-        if painting:
-            self.state.seconds = seconds
-            if not self.settings.steps:
-                self.state.counts["painting_ms"] = round(1000 * seconds)
+    def finish_phase(self) -> None:
+        if self.scene.state.phase != "reference":
+            return
+        if self._optimized is not None:  # a budget of time may end within one
+            self._finish_reference(self.to_make[self.scene.state.step // self.budget.steps_of_each])
+        for view in self.to_make:  # or before the last ones
+            if self.references[view] is None:
+                self.references[view] = _in_eight_bits(self.scene.photos[view])
 
-    # -- what the references ask for --------------------------------------------------------------------------------
+    def start_phase(self, spent: float) -> None:
+        state = self.scene.state
+        if state.phase == "style" and self.to_make:
+            state.seconds = spent
+            if not self.scene.settings.steps:
+                state.counts["painting_ms"] = round(1000 * spent)
+
+    # -- the style steps --------------------------------------------------------------------------------------------
+
+    def style_step(self) -> dict[str, float]:
+        """Take one step on a view, on a reference's pixels and on registered pixels; the parts of the loss."""
+        scene, settings = self.scene, self.scene.settings
+        generator = np.random.default_rng([scene.problem.seed, 4, scene.state.step])
+        parts = self.view_step.learn(generator) | self._learn_references(generator)
+        scene.adam.step(settings.rate * settings.final_rate**scene.budget.progress)
+        return parts
 
     @property
-    def template(self) -> ReferenceObjective:
-        """The loss of a view by its correspondences; made when the references are there."""
-        if self._template is None:
-            s = self.settings
-            templates = [
+    def objective(self) -> ReferenceObjective:
+        """The loss of a view by its correspondences; made once the references are there."""
+        if self._objective is None:
+            loss, s, seed = self.loss, self.scene.settings, self.scene.problem.seed
+            pairs = [
                 ReferenceFeatures(
-                    self._there(self.photos[v]), self._there(picture), self._alpha_there(v), self.windows[v]
+                    loss.to_device(self.scene.photos[v]), loss.to_device(image), loss.coverage(v), loss.windows[v]
                 )
-                for v, picture in self.references.items()
+                for v, image in self.references.items()
             ]
-            given = (s.template_weights, s.feature_scale, s.style_basis, self.seed, s.variation)
-            self._template = ReferenceObjective(self._template_trunk, self._coarse_trunk, templates, *given)
-        return self._template
+            options = (s.reference_feature_weights, s.feature_scale, s.style_basis, seed, s.variation)
+            self._objective = ReferenceObjective(self._matching, self._coarse, pairs, *options)
+        return self._objective
 
-    def _wanted_of(self, view: int):
-        return self.template.wanted(self._there(self.photos[view]), self._alpha_there(view), self.windows[view])
+    def _target(self, view: int):
+        loss = self.loss
+        return self.objective.wanted(loss.to_device(self.scene.photos[view]), loss.coverage(view), loss.windows[view])
 
     def _points_of(self, view: int) -> SeenPoints:
         if view in self._points:
             return self._points[view]
-        found = points_of(self.still.surface(view), self.cameras[view], self.field.space)
-        if self.partial:
-            found = replace(found, there=found.there & (self.counted(view).ravel() > SOLID))
+        scene = self.scene
+        found = points_of(scene.fixed.surface(view), scene.cameras[view], scene.field.space)
+        if scene.of_region:
+            found = replace(found, there=found.there & (scene.coverage(view).ravel() > SOLID))
         if view in self.references:
             self._points[view] = found
         return found
 
-    def _registered_of(self, view: int) -> Registered:
-        """Pixels of a view that see what a reference sees, and its colors there; of several, the straightest look."""
-        count = self.cameras[view].width * self.cameras[view].height
+    def _register(self, view: int) -> Registered:
+        """Pixels of a view that see what a reference sees, and its colors there; of several, the most frontal's."""
+        count = self.scene.cameras[view].width * self.scene.cameras[view].height
         best, colors = np.full(count, -1.0), np.zeros((count, 3), np.float32)
-        for other, picture in self.references.items():
+        for other, image in self.references.items():
             if other == view:
                 continue
             pixels, positions, cosines = registered(self._points_of(view), self._points_of(other))
-            nearer = cosines > best[pixels]
-            best[pixels[nearer]] = cosines[nearer]
-            colors[pixels[nearer]] = sampled_at(picture, positions[nearer])
+            better = cosines > best[pixels]
+            best[pixels[better]] = cosines[better]
+            colors[pixels[better]] = sampled_at(image, positions[better])
         pixels = np.flatnonzero(best > -1)
         return pixels, colors[pixels]
 
     @property
-    def registered_share(self) -> float:
-        """Of what views other than the references see, the part that the references tell the color of."""
-        others = [view for view in self.shown if view not in self.references]
-        shares = [len(self._reached[v][0]) / max(1, int((self.counted(v) > SOLID).sum())) for v in others]
-        return float(np.mean(shares)) if shares else 0.0
-
-    def _also_learn(self, generator: np.random.Generator) -> dict[str, float]:
-        weight, parts = self.settings.reference_weight, {"reference": 0.0, "registered": 0.0}
-        views = list(self.references)
-        view = views[int(generator.integers(len(views)))]
-        parts["reference"] = self._learn_image(view, self.references[view], generator, weight) or 0.0
-        others = [v for v in self.shown if v not in self.references]
-        if others:
-            view = others[int(generator.integers(len(others)))]
-            pixels, colors = self._reached[view]
-            if len(pixels):
-                chosen = generator.integers(0, len(pixels), self.settings.refit_pixels)
-                parts["registered"] = self._learn_pixels(view, pixels[chosen], colors[chosen], weight)
-        return parts
-
-    def _loss(self, view: int, picture: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
-        alpha, window = self._alpha_there(view), self.windows[view]
-        lacking = self._variation_lacking(view, picture, self.settings.template_weights.variation)
-        if self.progress < 1 - self.settings.late:
-            loss, parts = self.template(picture, self._wanted[view], alpha, window)
-            return loss + lacking, parts
-        found, weights = self.template.features_of(picture, window), self.settings.template_weights
-        looks = {block: feature.detach() for block, feature in found.items()}
-        matches = self.template.matches_of(looks, self.late_keys, alpha, window)
-        style = self.template.style_distance(found, matches, alpha, window)
-        variation = self.template.variation(picture)
-        loss = LATE_WEIGHT * weights.style * style + weights.variation * variation + lacking
-        return loss, {"style": float(style.detach()), "variation": float(variation.detach())}
+    def _others(self) -> list[int]:
+        return [view for view in self.scene.shown if view not in self.references]
 
     @property
-    def late_keys(self):
-        """What renders are matched against in the last quarter: the references' own views, as they looked before it."""
+    def registered_share(self) -> float:
+        """Fraction of what views other than the references see whose color a reference gives."""
+        covered = {view: int((self.scene.coverage(view) > SOLID).sum()) for view in self._others}
+        shares = [len(self._registered[view][0]) / max(1, count) for view, count in covered.items()]
+        return float(np.mean(shares)) if shares else 0.0
+
+    def _learn_references(self, generator: np.random.Generator) -> dict[str, float]:
+        """Add gradients of a reference's pixels and of registered ones; their mean squared errors."""
+        scene, weight = self.scene, self.scene.settings.reference_weight
+        views, others, error = list(self.references), self._others, 0.0
+        view = views[int(generator.integers(len(views)))]
+        own = scene.learn_image(view, self.references[view], generator, weight) or 0.0
+        if others:
+            view = others[int(generator.integers(len(others)))]
+            pixels, colors = self._registered[view]
+            if len(pixels):
+                chosen = generator.integers(0, len(pixels), scene.settings.refit_pixels)
+                error = scene.learn_pixels(view, pixels[chosen], colors[chosen], weight)
+        return {"reference": own, "registered": error}
+
+    def loss_of_view(self, view: int) -> ImageLoss:
+        """The loss of a view's render at the present step."""
+        late = self.scene.budget.progress >= 1 - self.scene.settings.late
+        weights, objective = self.scene.settings.reference_feature_weights, self.objective
+        coverage, window = self.loss.coverage(view), self.loss.windows[view]
+
+        def early_loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
+            missing = self._missing_variation(view, image, weights.variation)
+            loss, parts = objective(image, self._targets[view], coverage, window)
+            return loss + missing, parts
+
+        def late_loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
+            missing = self._missing_variation(view, image, weights.variation)
+            found = objective.features_of(image, window)
+            matches = objective.matches_of({b: f.detach() for b, f in found.items()}, self.late_keys, coverage, window)
+            style, variation = objective.style_distance(found, matches, coverage, window), objective.variation(image)
+            loss = LATE_WEIGHT * weights.style * style + weights.variation * variation + missing
+            return loss, {"style": float(style.detach()), "variation": float(variation.detach())}
+
+        return late_loss if late else early_loss
+
+    @property
+    def late_keys(self) -> dict:
+        """What renders are matched with in the last quarter: the references' own views as it began."""
         if self._late_keys is None:
             for view in self.references:
-                if view not in self._late:
-                    alpha = self.geometry.alpha(view)
-                    rgb = self.paint_view(view).reshape(*alpha.shape, 3)
-                    self._late[view] = rgb + (1 - alpha[..., None]) * self.background
-            self._late_keys = self.template.keys_of([self._there(self._late[view]) for view in self.references])
+                if view not in self._late_renders:
+                    self._late_renders[view] = self.scene.render_over(view)
+            renders = [self.loss.to_device(self._late_renders[view]) for view in self.references]
+            self._late_keys = self.objective.keys_of(renders)
         return self._late_keys
 
     # -- checkpoints ------------------------------------------------------------------------------------------------
 
-    def _own_arrays(self) -> dict[str, np.ndarray]:
-        arrays = super()._own_arrays()
-        for view in self.to_paint:
+    def arrays(self) -> dict[str, np.ndarray]:
+        arrays = self.view_step.arrays()
+        for view in self.to_make:
             if self.references[view] is not None:
                 arrays[f"reference.{view}"] = np.rint(self.references[view] * 255).astype(np.uint8)
-        if self._painted is not None:
-            arrays |= {f"painted.{k}": v for k, v in self._painted.arrays().items()}
-        arrays |= {f"late.{view}": picture.astype(np.float32) for view, picture in self._late.items()}
-        return arrays
+        if self._optimized is not None:
+            arrays |= {f"painted.{k}": v for k, v in self._optimized.arrays().items()}
+        return arrays | {f"late.{view}": image.astype(np.float32) for view, image in self._late_renders.items()}
 
-    def _restore_own(self, arrays: dict[str, np.ndarray]) -> None:
-        super()._restore_own(arrays)
-        for view in self.to_paint:
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        self.view_step.restore(arrays)
+        for view in self.to_make:
             if f"reference.{view}" in arrays:
                 self.references[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
         moments = {k[8:]: v for k, v in arrays.items() if k.startswith("painted.")}
-        self._painted = None
+        self._optimized = None
         if moments:
-            self._painted = self._new_picture(self.to_paint[self.state.step // self._painting_steps])
-            self._painted.restore(moments)
-        self._late = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
+            self._optimized = self._new_image(self.to_make[self.scene.state.step // self.budget.steps_of_each])
+            self._optimized.restore(moments)
+        self._late_renders = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("late.")}
         self._late_keys = None
 
 
-def _in_eight_bits(picture: np.ndarray) -> np.ndarray:
-    """Rounded as a file of it, and a checkpoint, has it."""
-    return np.rint(picture * 255).astype(np.uint8).astype(np.float32) / 255
+def _in_eight_bits(image: np.ndarray) -> np.ndarray:
+    """An image rounded as a file, and a checkpoint, holds it."""
+    return np.rint(image * 255).astype(np.uint8).astype(np.float32) / 255

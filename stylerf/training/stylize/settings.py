@@ -1,21 +1,28 @@
-"""How a scene is stylized, whatever the method; and where a stylization stands."""
+"""Settings of each stylization method, and the state of a run."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Self
 
 from stylerf.style.style_objective import StyleWeights
+
+RATES = ("rate", "refit_rate", "deform_rate", "image_rate")
 
 
 @dataclass(frozen=True)
 class StyleSettings:
-    """How a scene is stylized. seconds: budget of the style steps; steps: their number if > 0.
+    """What all methods share.
 
-    strategy, dilation, blur: see rendering/strategies. remember: unselected pixels are taken from the view's last
-    render instead of being rendered anew. match: before, after, both or none. coarse: share of the style steps, the
-    first, that see features at half of `feature_scale` (docs/decisions/0013). rates: per step, falling to `final_rate`
-    of themselves. deform_rate, displacement_weight, displacement_vertices: see training/deformer. loss: nnfm or gram
-    (style/objective). rounds, image_share, image_steps, image_rate: see training/alternating. reference_steps,
-    reference_weight, template_weights, late: see training/referenced. rollbacks: see training/guard; clip:
-    training/optimizer; least_spread, most_gain: style/color.spread_at_least, strokes_in, spread_at_most.
+    Attributes:
+        steps: Steps after the refit; 0 if `seconds` limits them.
+        seconds: Time budget after the refit.
+        refit_steps: Steps that fit the new color to the photos.
+        refit_pixels: Pixels per step that are compared with a photo.
+        refit_rate, rate: Learning rates of the color; `rate` falls to `final_rate` of itself.
+        match: Color matching: before (of the photos), after (of the renders), both or none.
+        weight_threshold: Fraction of a ray's largest weight below which a sample is not colored.
+        rollbacks: How often a divergence may roll back (see divergence_guard.py).
+        gradient_clip: Clip gradients at this multiple of their running norm; 0: never (see common/adam.py).
+        min_spread, max_gain: Bounds of color matching (see style/color_matching.py).
     """
 
     steps: int = 0
@@ -25,46 +32,103 @@ class StyleSettings:
     refit_rate: float = 1e-2
     rate: float = 1e-2
     final_rate: float = 0.2
-    strategy: str = "deferred"
-    dilation: int = 2
-    blur: int = 0
-    remember: bool = True
     match: str = "both"
+    weight_threshold: float = 0.3
+    rollbacks: int = 0
+    gradient_clip: float = 0.0
+    min_spread: float = 0.0
+    max_gain: float = 4.0
+
+    def slowed(self, times: int) -> Self:
+        """Settings with all learning rates halved `times` times."""
+        names = [one.name for one in fields(self) if one.name in RATES]
+        return replace(self, **{name: 0.5**times * getattr(self, name) for name in names})
+
+    def for_style(self, strength: float) -> Self:
+        """Settings for a style image that holds only `strength` (0..1) of a style."""
+        return self
+
+
+@dataclass(frozen=True)
+class ImageStyleSettings(StyleSettings):
+    """What the methods with a style image share.
+
+    Attributes:
+        loss: nnfm (nearest neighbor feature matching) or gram (Gram matrices).
+        feature_scale: Size of the image that features are taken from, relative to the view.
+        coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
+        style_scale, style_rows, style_basis, variation: See style/style_objective.StyleObjective.
+    """
+
     weights: StyleWeights = field(default_factory=StyleWeights)
-    share: float = 0.3
+    loss: str = "nnfm"
     feature_scale: float = 0.5
     coarse: float = 0.0
     style_scale: float = 1.0
     style_rows: int = 4096
     style_basis: int = 96
     variation: str = "squared"
+
+    def for_style(self, strength: float) -> Self:
+        return replace(self, weights=replace(self.weights, style=strength * self.weights.style))
+
+
+@dataclass(frozen=True)
+class ArfSettings(ImageStyleSettings):
+    """ARF. strategy, dilation, blur: see rendering/ray_selection.py. remember: take unselected pixels from the view's
+    last render."""
+
+    strategy: str = "deferred"
+    dilation: int = 2
+    blur: int = 0
+    remember: bool = True
+
+
+@dataclass(frozen=True)
+class DesrfSettings(ArfSettings):
+    """DeSRF: ARF with a deformation (see training/deform/deformer.py)."""
+
     deform_rate: float = 1e-3
     displacement_weight: float = 0.5
     displacement_vertices: int = 32
-    loss: str = "nnfm"
-    template_weights: StyleWeights = field(default_factory=lambda: StyleWeights(1.0, 0.1, 1.0, 5.0))
+
+    def for_style(self, strength: float) -> Self:
+        # Adam's steps are as long for a weak loss: shapes would move by rounding.
+        return replace(super().for_style(strength), deform_rate=strength * self.deform_rate)
+
+
+@dataclass(frozen=True)
+class SnerfSettings(ImageStyleSettings):
+    """SNeRF. rounds: alternations. image_share: fraction of a round spent on images. image_steps, image_rate: of each
+    image's optimization."""
+
     rounds: int = 3
     image_share: float = 0.75
     image_steps: int = 5
     image_rate: float = 0.03
-    reference_steps: int = 60
-    reference_weight: float = 1.0
-    late: float = 0.25
-    rollbacks: int = 0
-    clip: float = 0.0
-    least_spread: float = 0.0
-    most_gain: float = 4.0
 
-    def slowed(self, times: int) -> "StyleSettings":
-        """All rates halved so many times."""
-        factor = 0.5**times
-        return replace(self, rate=factor * self.rate, refit_rate=factor * self.refit_rate,
-                       deform_rate=factor * self.deform_rate, image_rate=factor * self.image_rate)  # fmt: skip
+
+@dataclass(frozen=True)
+class RefNprSettings(ArfSettings):
+    """Ref-NPR.
+
+    Attributes:
+        reference_steps, image_rate: Of the optimization of a reference image.
+        reference_weight: Weight of the squared error on the references' own and on registered rays.
+        reference_feature_weights: Weights of the loss by correspondences; `weights` are those of making a reference.
+        late: Last fraction of the style steps, which match renders with renders.
+    """
+
+    reference_steps: int = 60
+    image_rate: float = 0.03
+    reference_weight: float = 1.0
+    reference_feature_weights: StyleWeights = field(default_factory=lambda: StyleWeights(1.0, 0.1, 1.0, 5.0))
+    late: float = 0.25
 
 
 @dataclass
 class StyleState:
-    """Where the stylization stands. counts: what a method counts beside its steps."""
+    """Progress of a stylization. step, seconds: of the present phase. counts: a method's own counters."""
 
     phase: str = "refit"
     step: int = 0

@@ -10,8 +10,8 @@ import torch
 from schemas.errors import BadInput
 from schemas.images import write_png
 from stages.artifacts.references import digest_of, read_references, training_view
-from stages.configs.stylize import StylizeConfig
-from stages.stylization.settings import coarse_taps, match_of, painting_loss, painting_taps, settings_of, template_taps
+from stages.configs.stylize import CONFIGS, RefNprConfig, SnerfConfig
+from stages.stylization.settings import coarse_layers, image_layers, image_loss, match_of, reference_layers, settings_of
 from stylerf.style.feature_extractor import LAYERS, layers_of
 
 WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS}
@@ -48,7 +48,7 @@ def test_references_are_rescaled_but_other_aspect_ratios_are_refused(tmp_path):
 
 @pytest.mark.parametrize(("options", "matched"), [({}, "before"), ({"reference": ("a=x.png",)}, "none")])
 def test_colors_over_the_fields_own_look_as_the_photos_do_from_the_start(options, matched):
-    config = StylizeConfig(style="" if options else "x", method="refnpr", refit_steps=70, **options)
+    config = RefNprConfig(style="" if options else "x", refit_steps=70, **options)
     assert match_of(config) == matched
     assert settings_of(config, 300, True).refit_steps == 70
     assert settings_of(config, 300, True, region=True).refit_steps == (1 if matched == "none" else 70)
@@ -71,55 +71,56 @@ def test_the_digest_is_of_views_and_content(tmp_path):
     ("options", "loss", "taps", "match"),
     [
         ({}, "nnfm", "conv3", "both"),
-        ({"method": "desrf", "taps": "conv2"}, "nnfm", "conv2", "both"),
+        ({"method": "desrf", "layers": "conv2"}, "nnfm", "conv2", "both"),
         ({"method": "snerf"}, "gram", "conv2,conv3,conv4", "both"),
         ({"method": "snerf", "image_by": "nnfm", "match": "none"}, "nnfm", "conv3", "none"),
         ({"method": "refnpr"}, "nnfm", "conv3", "before"),
-        ({"method": "refnpr", "reference_by": "gram", "taps": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
+        ({"method": "refnpr", "reference_by": "gram", "layers": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
         ({"method": "refnpr", "reference_by": "adain"}, "nnfm", "conv3", "none"),
         ({"method": "refnpr", "reference": ("0=x.png",)}, "nnfm", "conv3", "none"),
         ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "nnfm", "conv3", "before"),
     ],
 )
 def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
-    config = StylizeConfig(**{"style": "" if "reference" in options else "x"} | options)
-    found = painting_loss(config), painting_taps(config, WEIGHTS), match_of(config)
-    wanted = ",".join(layers_of(taps)) if taps != config.taps or config.method == "refnpr" else taps
+    method = CONFIGS[options.get("method", "arf")]
+    config = method(**{"style": "" if "reference" in options else "x"} | options)
+    found = image_loss(config), image_layers(config, WEIGHTS), match_of(config)
+    wanted = ",".join(layers_of(taps)) if taps != config.layers or config.method == "refnpr" else taps
     assert found == (loss, wanted, match)
 
 
 def test_a_painting_beside_references_must_have_a_say():
-    with pytest.raises(ValueError, match="has no say"):
-        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",))
+    with pytest.raises(ValueError, match="has no effect"):
+        RefNprConfig(style="x", reference=("0=x.png",))
     for match in ("before", "after", "both"):
-        StylizeConfig(style="x", method="refnpr", reference=("0=x.png",), match=match)
+        RefNprConfig(style="x", reference=("0=x.png",), match=match)
 
 
 def test_refnpr_uses_arfs_weights_for_the_refit_and_its_own_after():
-    found = settings_of(StylizeConfig(style="x", method="refnpr", style_weight=3.0), 200, True)
+    found = settings_of(RefNprConfig(style="x", style_weight=3.0), 200, True)
     assert (found.weights.style, found.weights.content, found.weights.color) == (1.0, 0.02, 10.0)
-    weights = found.template_weights
+    weights = found.reference_feature_weights
     assert (weights.style, weights.content, weights.color) == (3.0, 0.1, 5.0)
 
 
 def test_blocks_are_those_that_ref_npr_counts_from_zero():
     """By torchvision's places of ReLUs: 11, 13, 15 are its block 2; 18, 20, 22 its block 3; 25, 27, 29 its block 4."""
     places = dict(zip(LAYERS, (1, 3, 6, 8, 11, 13, 15, 18, 20, 22, 25, 27, 29), strict=True))
-    config = StylizeConfig(style="x", method="refnpr")
-    assert [places[layer] for layer in layers_of(template_taps(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
-    assert [places[layer] for layer in layers_of(coarse_taps(WEIGHTS))] == [25, 27, 29]
-    gram = painting_taps(StylizeConfig(style="x", method="snerf"), WEIGHTS)
+    config = RefNprConfig(style="x")
+    assert [places[layer] for layer in layers_of(reference_layers(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
+    assert [places[layer] for layer in layers_of(coarse_layers(WEIGHTS))] == [25, 27, 29]
+    gram = image_layers(SnerfConfig(style="x"), WEIGHTS)
     assert [places[layer] for layer in layers_of(gram)] == [6, 8, 11, 13, 15, 18, 20, 22]
 
 
 def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():
-    assert coarse_taps(WEIGHTS) == "conv5"
-    assert coarse_taps({name: v for name, v in WEIGHTS.items() if "conv5" not in name}) == "conv4_3"
-    assert coarse_taps({"conv1_1.weight": torch.zeros(1), "conv3_1.weight": torch.zeros(1)}) == "conv3_1"
+    assert coarse_layers(WEIGHTS) == "conv5"
+    assert coarse_layers({name: v for name, v in WEIGHTS.items() if "conv5" not in name}) == "conv4_3"
+    assert coarse_layers({"conv1_1.weight": torch.zeros(1), "conv3_1.weight": torch.zeros(1)}) == "conv3_1"
 
 
 def test_layers_absent_from_the_weights_are_dropped_from_defaults_only():
     short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS[:5]}  # to conv3_1
-    config = StylizeConfig(style="x", method="refnpr")
-    assert painting_taps(config, short) == "conv3_1" and template_taps(config, short) == "conv3_1"
-    assert template_taps(replace(config, taps="conv3"), short) == "conv3"
+    config = RefNprConfig(style="x")
+    assert image_layers(config, short) == "conv3_1" and reference_layers(config, short) == "conv3_1"
+    assert reference_layers(replace(config, layers="conv3"), short) == "conv3"

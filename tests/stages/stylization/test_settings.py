@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stages.configs.stylize import COLOR_CELLS, StylizeConfig
-from stages.stylization.settings import new_color, rays_of, settings_of
+from stages.configs.stylize import COLOR_CELLS, CONFIGS, ArfConfig
+from stages.stylization.settings import new_color, settings_of, strategy_of
 
 
 @pytest.mark.parametrize(
@@ -12,39 +12,43 @@ from stages.stylization.settings import new_color, rays_of, settings_of
     [(128.0, 160), (180.0, 224), (5.0, COLOR_CELLS[0]), (4000.0, COLOR_CELLS[1]), (float("nan"), COLOR_CELLS[0])],
 )
 def test_colors_are_a_quarter_finer_than_a_pixel_within_bounds(pixel_cells, finest):
-    config = StylizeConfig(style="x", levels=2, table_bits=10)
+    config = ArfConfig(style="x", levels=2, table_bits=10)
     assert new_color(config, np.random.default_rng(0), pixel_cells).finest == finest
 
 
 def test_cells_that_are_asked_for_are_taken():
-    config = StylizeConfig(style="x", levels=2, table_bits=10, finest=48)
+    config = ArfConfig(style="x", levels=2, table_bits=10, finest=48)
     assert new_color(config, np.random.default_rng(0), 500.0).finest == 48
 
 
 @pytest.mark.parametrize(
-    ("options", "side", "rays"),
+    ("method", "options", "side", "rays"),
     [
-        ({"method": "arf"}, 1008, "deferred"),
-        ({"method": "desrf"}, 256, "deferred"),
-        ({"method": "desrf"}, 257, "dilated"),
-        ({"method": "desrf", "rays": "patch"}, 100, "patch"),
+        ("arf", {}, 1008, "deferred"),
+        ("desrf", {}, 256, "deferred"),
+        ("desrf", {}, 257, "dilated"),
+        ("desrf", {"rays": "patch"}, 100, "patch"),
     ],
 )
-def test_rays_follow_from_method_and_size_unless_asked_for(options, side, rays):
-    assert rays_of(StylizeConfig(style="x", **options), side) == rays
+def test_rays_follow_from_method_and_size_unless_asked_for(method, options, side, rays):
+    assert strategy_of(CONFIGS[method](style="x", **options), side) == rays
 
 
 @pytest.mark.parametrize(
-    ("options", "closed", "color", "displacement", "coarse"),
+    ("method", "options", "closed", "color", "displacement", "coarse"),
     [
-        ({"method": "desrf"}, False, 1.0, 0.0, 0.6),
-        ({"method": "desrf"}, True, 10.0, 0.003, 0.0),
-        ({"method": "arf"}, False, 10.0, 0.003, 0.0),
-        ({"method": "desrf", "coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
+        ("desrf", {}, False, 1.0, 0.0, 0.6),
+        ("desrf", {}, True, 10.0, 0.003, 0.0),
+        ("arf", {}, False, 10.0, None, 0.0),
+        ("desrf", {"coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
     ],
 )
 def test_what_holds_shapes_follows_from_method_and_scene_unless_asked_for(
-    options, closed, color, displacement, coarse
+    method, options, closed, color, displacement, coarse
 ):
-    found = settings_of(StylizeConfig(style="x", **options), 200, closed)
-    assert (found.weights.color, found.displacement_weight, found.coarse) == (color, displacement, coarse)
+    found = settings_of(CONFIGS[method](style="x", **options), 200, closed)
+    assert (found.weights.color, getattr(found, "displacement_weight", None), found.coarse) == (
+        color,
+        displacement,
+        coarse,
+    )

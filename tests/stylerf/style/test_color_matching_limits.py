@@ -5,9 +5,9 @@ import torch
 
 from stylerf.srgb import LUMA
 from stylerf.style.color_matching import color_statistics, match_colors, spread_at_least, spread_at_most, strokes_in
-from stylerf.training.stylize.arf import ArfTrainer
+from stylerf.training.stylize.settings import DesrfSettings
 from tests.stylerf.style.small_trunk import picture
-from tests.stylerf.training.stylizing import made
+from tests.stylerf.training.stylizing import arf
 
 
 def luma(image: torch.Tensor) -> torch.Tensor:
@@ -44,10 +44,10 @@ def test_a_blank_sheet_has_no_strokes_to_teach():
     blots = torch.zeros(3, 8, 8)
     blots[0, :4], blots[2, 4:] = 1, 1
     assert strokes_in(blots, 0.2) == 1
-    one = made(ArfTrainer, painting=torch.ones(3, 16, 16), least_spread=0.1)
+    one = arf({"style_image": torch.ones(3, 16, 16)}, min_spread=0.1)
     assert one.settings.weights.style == 0 and one.settings.weights.content > 0
     # Adam's steps are as long for what a weak loss leaves of a gradient: shapes would move by rounding.
-    assert one.settings.deform_rate == 0 < made(ArfTrainer, painting=blots, least_spread=0.1).settings.deform_rate
+    assert DesrfSettings().for_style(0.0).deform_rate == 0 < DesrfSettings().for_style(1.0).deform_rate
 
 
 def test_matching_to_a_blank_sheet_keeps_light_and_shade():
@@ -94,11 +94,11 @@ def test_a_scene_with_colors_enough_is_matched_exactly():
 def test_both_matches_of_a_stylization_together_stay_below_the_bound(match):
     """The second aims at what the first could reach: two bounds one after the other would be their product."""
     painting = picture(16, 16, 2)
-    one = made(ArfTrainer, painting=painting, match=match, most_gain=0.5)
-    free = made(ArfTrainer, painting=painting, match=match, most_gain=0.0)
-    assert torch.equal(free._palette, painting)
-    drawn, full = (color_statistics(x.flatten(1).T)[1].trace() for x in (one._palette, painting))
+    one = arf({"style_image": painting}, match=match, max_gain=0.5)
+    free = arf({"style_image": painting}, match=match, max_gain=0.0)
+    assert torch.equal(free.scene.style_colors, painting)
+    drawn, full = (color_statistics(x.flatten(1).T)[1].trace() for x in (one.scene.style_colors, painting))
     assert drawn < 0.9 * full
-    before = color_statistics(torch.cat([torch.from_numpy(free.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
-    after = color_statistics(torch.cat([torch.from_numpy(one.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    before = color_statistics(torch.cat([torch.from_numpy(free.scene.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
+    after = color_statistics(torch.cat([torch.from_numpy(one.scene.photos[v].reshape(-1, 3)) for v in range(2)]))[1]
     assert (after.trace() < 0.9 * before.trace()) == (match == "both")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stylerf.training.fit.fitter import Fitter
-from stylerf.training.stylize.arf import ArfTrainer
+from stylerf.training.stylize.trainer import StylizationTrainer
 
-Loop = Fitter | ArfTrainer
+Loop = Fitter | StylizationTrainer
 
 
 class Stopped(Exception):

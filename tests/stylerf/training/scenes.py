@@ -11,7 +11,7 @@ from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
 
 SIDE = 0.6
-LADDER = (CapacityLevel(8, 16, 24, 8), CapacityLevel(12, 16, 24, 8), CapacityLevel(16, 16, 24, 16))
+LEVELS = (CapacityLevel(8, 16, 24, 8), CapacityLevel(12, 16, 24, 8), CapacityLevel(16, 16, 24, 16))
 AROUND = SpaceWarp.box([-0.8] * 3, [0.8] * 3)
 
 
@@ -62,7 +62,7 @@ def masked_wall(hidden: int, size: int = 24) -> tuple[SpaceWarp, RayDataset]:
 
 
 def settings(steps: int, **more) -> FitSettings:
-    return FitSettings(**{"steps": steps, "samples": 4000, "ladder": LADDER, "reductions": (), **more})
+    return FitSettings(**{"steps": steps, "samples": 4000, "levels": LEVELS, "prunings": (), **more})
 
 
 def box_fitter(steps: int, seed: int = 0, held_out: int = 2, bank: RayDataset | None = None, **more) -> Fitter:

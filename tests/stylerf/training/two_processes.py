@@ -14,20 +14,20 @@ from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneS
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
 from tests.stylerf.training.running import run_until, saved
-from tests.stylerf.training.scenes import AROUND, LADDER, box_bank, settings
+from tests.stylerf.training.scenes import AROUND, LEVELS, box_bank, settings
 
-MORE = {"shares": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
+MORE = {"level_ends": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
 
 
 def fitted(steps: int, chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
-    """A fit that trains on held-out views at its end; in 280 steps it tries one rung and drops it.
+    """A fit that trains on held-out views at its end; in 280 steps it tries one level and drops it.
 
     Several processes begin from a checkpoint.
     """
-    fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
+    fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, group=ranks)
     if ranks.count > 1:
         begun = run_until(fitter, 3)
-        fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, ranks=ranks)
+        fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, group=ranks)
         fitter.resume(*ranks.checkpoint(begun.checkpoint() if ranks.first else None))
         assert fitter.state.step == 3
     fitter.run()
@@ -36,7 +36,7 @@ def fitted(steps: int, chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np
 
 def timed(ranks: ProcessGroup) -> dict[str, np.ndarray]:
     """A fit by the clock, in which the processes are not equally fast."""
-    fitter = Fitter(AROUND, box_bank(), 2, FitSettings(seconds=1.0, samples=2000, ladder=LADDER[:1]), 0, 1, ranks=ranks)
+    fitter = Fitter(AROUND, box_bank(), 2, FitSettings(seconds=1.0, samples=2000, levels=LEVELS[:1]), 0, 1, group=ranks)
     fitter.run(lambda now: time.sleep(0.002 * ranks.place))
     return outcome(fitter)
 
@@ -50,7 +50,7 @@ def tuned(chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
     depth = generator.random(300, np.float32) + 1
     pixels = EditedPixels(views[:300], numbers[:300], depth, (views[300:], numbers[300:]))
     more = {"steps": 20, "rays": 501, "depth_weight": 0.1, "smoothness": 1e-4}
-    tuner = FineTuner(fitter.field, fitter.bank, pixels, FineTuneSettings(**more), 0, chunks, ranks)
+    tuner = FineTuner(fitter.field, fitter.dataset, pixels, FineTuneSettings(**more), 0, chunks, ranks)
     tuner.run()
     return outcome(tuner)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.training.common.adam import BETA1, BETA2, EPSILON, UNKNOWN, Adam, clipped
+from stylerf.training.common.adam import BETA1, BETA2, EPSILON, NORM_STEPS, Adam, clipped
 
 
 def gradients_of(step: int, length: int) -> np.ndarray:
@@ -88,26 +88,26 @@ def test_a_leap_is_shortened_to_what_is_usual_and_the_direction_stays():
     assert usual == pytest.approx(np.linalg.norm(whole), rel=1e-5)  # the first sets it, and is not touched
     np.testing.assert_array_equal(parts[1], 0.75 * whole)
     leap = 50 * parts
-    after = clipped(leap, 2.0, usual, UNKNOWN)
+    after = clipped(leap, 2.0, usual, NORM_STEPS)
     np.testing.assert_allclose(leap.sum(0), 2.0 * whole, rtol=1e-5)
     assert after == pytest.approx(0.9 * usual + 0.1 * 2.0 * usual, rel=1e-5)
     small = 1.5 * parts
-    clipped(small, 2.0, usual, UNKNOWN)
+    clipped(small, 2.0, usual, NORM_STEPS)
     np.testing.assert_array_equal(small, 1.5 * parts)
     nothing = np.zeros_like(parts)
-    assert clipped(nothing, 2.0, usual, UNKNOWN) == usual  # tells nothing of what is usual
+    assert clipped(nothing, 2.0, usual, NORM_STEPS) == usual  # tells nothing of what is usual
 
 
 def test_what_is_usual_is_learned_before_anything_is_shortened():
     """A first gradient of next to nothing, as of a network whose last layer begins at zero, holds no later one down."""
-    usual, lengths = 0.0, [1e-4, *range(1, UNKNOWN)]
+    usual, lengths = 0.0, [1e-4, *range(1, NORM_STEPS)]
     for step, length in enumerate(lengths):
         one = np.full((1, 4), length / 2, np.float32)
         usual = clipped(one, 2.0, usual, step)
         np.testing.assert_array_equal(one, np.float32(length / 2))
     assert usual == pytest.approx(np.mean(lengths), rel=1e-5)
     leap = np.full((1, 4), 50.0, np.float32)
-    clipped(leap, 2.0, usual, UNKNOWN)
+    clipped(leap, 2.0, usual, NORM_STEPS)
     assert np.linalg.norm(leap) == pytest.approx(2 * usual, rel=1e-5)
 
 
@@ -118,12 +118,12 @@ def test_a_gradient_of_nan_is_no_step_and_without_a_clip_nothing_changes():
             adam.gradients[0] = gradients_of(step, 30)  # of like lengths
             adam.step(0.1)
     np.testing.assert_array_equal(one.values, other.values)
-    usual = one.usual
+    usual = one.running_norm
     one.gradients[1, 7] = np.nan
     one.step(0.1)
-    assert np.isfinite(one.values).all() and np.isfinite(one.first).all() and one.usual == usual > 0
+    assert np.isfinite(one.values).all() and np.isfinite(one.first).all() and one.running_norm == usual > 0
     again = Adam(one.values.copy(), [(0, 30, 1.0)], 2, 3.0)
     again.restore(one.arrays())
-    assert (again.usual, again.steps) == (one.usual, 6)
+    assert (again.running_norm, again.steps) == (one.running_norm, 6)
     again.restore({**one.arrays(), "steps": np.asarray([4])})  # as checkpoints of before had it
-    assert (again.usual, again.steps) == (0.0, 4)
+    assert (again.running_norm, again.steps) == (0.0, 4)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from stylerf.fields.palette_edits import PaletteEdits
+from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.editing.test_palette_module import module, places
@@ -16,7 +17,7 @@ from tests.stylerf.training.edit.test_trainer import SMALL
 from tests.stylerf.training.running import saved
 
 FEW = {"palette_steps": 2, "style_steps": 1, "pruned_steps": 1, "pruned_style_steps": 1, "pixels": 300, "colors": 4,
-       "most_colors": 3}  # fmt: skip
+       "max_colors": 3}  # fmt: skip
 
 
 def trainer(device=None, style: bool = False, **more) -> EditTrainer:
@@ -25,8 +26,8 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
     views[0].transition[:100] = 0.5
     views[0].edges[50:90] = 0.7
     painting, trunk = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
-    device = None if device is None else str(device)
-    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, device)
+    engine = edit_engine(None if device is None else str(device))
+    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, engine)
 
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])
@@ -136,7 +137,7 @@ def test_an_edit_is_learned_to_its_end_on_a_device(device):
     assert figures[0]["shares"] == pytest.approx(figures[1]["shares"], abs=2e-3)
     assert figures[0]["psnr"] == pytest.approx(figures[1]["psnr"], abs=0.05)
     # What the device has learned is in the module that is kept.
-    np.testing.assert_allclose(made.module.colors(*asked()), made.asked.colors(*asked()), atol=1e-5)
+    np.testing.assert_allclose(made.module.colors(*asked()), made.evaluator.colors(*asked()), atol=1e-5)
 
 
 def asked() -> tuple[np.ndarray, np.ndarray]:

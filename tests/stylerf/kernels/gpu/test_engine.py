@@ -14,7 +14,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
-from stylerf.training.common.adam import UNKNOWN
+from stylerf.training.common.adam import NORM_STEPS
 from stylerf.training.common.async_readback import BEHIND
 from stylerf.training.common.process_group import SingleProcess
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
@@ -48,13 +48,13 @@ def thin_field(space=AROUND, step=1 / 8, color=None, density=None):
 
 def batch(**more) -> Batch:
     plain = {"step": 3, "rays": 24, "parts": 1, "among": 3, "lit_share": 0.5, "background": "white", "rate": 1e-2}
-    return Batch(**{**plain, "smoothness": (0.0, 0.0), "even_from": 0.0, **more})
+    return Batch(**{**plain, "smoothness": (0.0, 0.0), "near_scaling_distance": 0.0, **more})
 
 
 def engine_on(device, bank, field, clip: float = 0.0):
     from stylerf.training.fit.engine_gpu import GpuEngine
 
-    return GpuEngine(bank, 0, 1, field, device=device, samples=400, clip=clip)
+    return GpuEngine(bank, 0, 1, field, device=device, samples=400, gradient_clip=clip)
 
 
 def kept_gradients(engine) -> list[torch.Tensor]:
@@ -81,7 +81,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     opacity, coverage = (0.3, 0.2) if kinds == "vm" else (0.0, 0.0)
     engine.learn(batch(opacity=opacity, coverage=coverage))
     learned = engine._reports.settle()
-    drawn = engine.bank.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
+    drawn = engine.dataset.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
     rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), threads=1)
     rgba, out = drawn.wanted.cpu().numpy(), rendered.out
@@ -95,7 +95,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     for ours, expected in zip(found, to):
         np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
     assert learned.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
-    assert learned.live == pytest.approx(rendered.samples.total / 24, abs=0.1)
+    assert learned.samples_per_ray == pytest.approx(rendered.samples.total / 24, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", ["hash", "voxel"])
@@ -122,12 +122,12 @@ def test_what_a_loop_looks_at_again_is_in_time_every_cell_but_clear_ones(bank, d
     field.occupancy = OccupancyGrid(8, clear=np.arange(512) % 7 == 0)
     engine = engine_on(device, bank, field)
     engine.refresh(0, 1)
-    engine.live.highest.fill_(2e3)
+    engine.device_field.highest.fill_(2e3)
     for step in range(320, 320 + 16 * 64, 64):  # the steps at which fit.py asks for it
         engine.refresh(step, 4)
-    seen = engine.live.highest.cpu().numpy() < 2e3
+    seen = engine.device_field.highest.cpu().numpy() < 2e3
     assert seen.all()
-    assert not engine.live.highest.cpu().numpy()[field.occupancy.clear].any()
+    assert not engine.device_field.highest.cpu().numpy()[field.occupancy.clear].any()
 
 
 def test_moments_stay_with_a_part_that_does(bank, device):
@@ -171,12 +171,12 @@ def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
     engine = engine_on(device, bank, thin_field(), clip=1.5)
     engine.learn(batch())
     for adam in (engine.density_adam, engine.color_adam):
-        usual, adam.steps = float(adam.usual), UNKNOWN
+        usual, adam.steps = float(adam.running_norm), NORM_STEPS
         assert usual > 0
         adam.gradients[:] = 0
         adam.gradients[0] = 100 * usual
         adam.step(0.0)
-        assert float(adam.usual) == pytest.approx(1.05 * usual, rel=1e-6)
+        assert float(adam.running_norm) == pytest.approx(1.05 * usual, rel=1e-6)
 
 
 def test_held_out_views_are_judged_as_on_the_cpu(bank, device):
@@ -209,7 +209,7 @@ def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
     finally:
         bank.expose(np.zeros(4))
     assert np.abs(expected - plain).max() > 0.1
-    found = engine.bank.at(numbers, torch.zeros(len(bank), device=device))[1]
+    found = engine.dataset.at(numbers, torch.zeros(len(bank), device=device))[1]
     np.testing.assert_allclose(found.cpu().numpy(), expected, atol=1e-6)
 
 
@@ -219,9 +219,9 @@ def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
     def full(*arguments, **named):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr(engine.live, "render_rays", full)
-    engine.ranks, summed = SingleProcess(), []
-    engine.ranks.add = summed.append
+    monkeypatch.setattr(engine.device_field, "render_rays", full)
+    engine.group, summed = SingleProcess(), []
+    engine.group.add = summed.append
     with pytest.raises(MemoryError, match="out of memory"):
         engine.learn(batch())
     assert not summed
@@ -246,18 +246,18 @@ def test_a_loop_is_told_of_a_step_so_many_later_however_fast_the_device_is(bank,
     monkeypatch.setattr(
         engine, "_add_gradients", lambda given, sums: sums.copy_(torch.tensor([0.0, 10.0 * (given.step + 1), 0.0]))
     )
-    told = [engine.learn(batch(step=step, rays=10)).live for step in range(BEHIND + 3)]
+    told = [engine.learn(batch(step=step, rays=10)).samples_per_ray for step in range(BEHIND + 3)]
     assert told == [0.0] * BEHIND + [1.0, 2.0, 3.0]
 
 
 def test_processes_agree_about_what_is_occupied(bank, device):
     engine, first = engine_on(device, bank, thin_field()), torch.zeros(8**3, device=device)
     first[100] = 1e3
-    engine.ranks = SingleProcess()
-    engine.ranks.count = 2
-    engine.ranks.take_first = lambda values: values.copy_(first) if values is engine.live.highest else None
+    engine.group = SingleProcess()
+    engine.group.count = 2
+    engine.group.take_first = lambda values: values.copy_(first) if values is engine.device_field.highest else None
     engine.agree()
-    occupied = engine.live.distances == 0
+    occupied = engine.device_field.distances == 0
     assert occupied.nonzero().flatten().tolist() == [100]
     assert np.flatnonzero(engine.field.occupancy.distances == 0).tolist() == [100]
 
@@ -265,7 +265,7 @@ def test_processes_agree_about_what_is_occupied(bank, device):
 def small_fitter(bank, device, steps=3):
     from stylerf.training.fit.engine_gpu import GpuEngine
 
-    given = settings(steps, samples=300, ladder=(CapacityLevel(8, 16, 24, 8),), shares=(), background="random")
+    given = settings(steps, samples=300, levels=(CapacityLevel(8, 16, 24, 8),), level_ends=(), background="random")
     made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(GpuEngine, device=device, samples=300))
     made.state.rays = 32
     made._held_out_rays = tuple(a[:32] for a in made._held_out_rays)
@@ -285,17 +285,17 @@ def test_the_loop_runs_and_resumes_on_a_device(bank, device):
     np.testing.assert_allclose(part.field.color.values, whole.field.color.values, atol=1e-3)
 
 
-def test_a_reduction_goes_to_the_device_and_comes_back_refused(bank, device):
+def test_a_pruning_goes_to_the_device_and_comes_back_refused(bank, device):
     made = small_fitter(bank, device)
     made.step()
     before, size = made.field.density.values.copy(), made.parameters
     made._try("density ranks", 20.0)
-    assert made.engine.live.density.rank == 8 and made.parameters < size
+    assert made.engine.device_field.density.rank == 8 and made.parameters < size
     made.step()
     assert made.field.density.rank == 8 and made.field.density.values.shape < before.shape
     assert made._judge(19.0) == 20.0
-    assert made.engine.live.density.rank == 16 and made.state.refused == ["density ranks"]
-    np.testing.assert_array_equal(made.engine.live.density.values.cpu(), before)
+    assert made.engine.device_field.density.rank == 16 and made.state.rejected == ["density ranks"]
+    np.testing.assert_array_equal(made.engine.device_field.density.values.cpu(), before)
 
 
 def test_a_view_is_the_cpus_picture(device):

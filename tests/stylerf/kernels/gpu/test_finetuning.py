@@ -6,6 +6,7 @@ import torch
 
 from stylerf.fields.color_map import ColorMap
 from stylerf.fields.region_color import RegionColor
+from stylerf.training.backends import finetune_engine
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 from tests.stylerf.small import close, field_of, vm_color
@@ -48,10 +49,8 @@ def tuner(bank, device=None, patched=True, mapped=False, **more) -> FineTuner:
         "smoothness": 1e-3,
         **more,
     }
-    device = None if device is None else str(device)
-    return FineTuner(
-        thin_field(patched, mapped), bank, edited(), FineTuneSettings(**given), 0, 1, device=device
-    )  # fmt: skip
+    engine = finetune_engine(None if device is None else str(device))
+    return FineTuner(thin_field(patched, mapped), bank, edited(), FineTuneSettings(**given), 0, 1, engine=engine)
 
 
 def gradients_taken(made) -> list[np.ndarray]:

@@ -6,12 +6,14 @@ import torch
 
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.displacement_grid import displaced_occupancy
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
-from stylerf.training.common.adam import UNKNOWN
+from stylerf.training.backends import deform_backend
+from stylerf.training.common.adam import NORM_STEPS
 from stylerf.training.deform import deformer, fitter
-from stylerf.training.deform.backend import deformer_on
 from stylerf.training.deform.deformer import Deformer
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
+from stylerf.training.deform.photo_error import PhotoError
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
 from tests.stylerf.kernels.gpu.test_engine import thin_field
 from tests.stylerf.small import displacement_grid, hash_color
@@ -35,7 +37,7 @@ def bent(seed: int = 0) -> Deformation:
 
 
 def made_on(device, clip: float = 0.0) -> Deformer:
-    return deformer_on(device, thin_field(step=STEP), bent(), dome(3, 1), VERTICES, 0, 1, clip)
+    return deform_backend(device)[0](thin_field(step=STEP), bent(), dome(3, 1), VERTICES, 0, 1, clip)
 
 
 def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 0.5) -> list[float]:
@@ -54,7 +56,7 @@ def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 
 def test_a_clip_holds_the_network_here_as_there(device):
     (cpu, gpu), plain = (made_on(where, clip=0.5) for where in (None, device)), made_on(device)
     for made in (cpu, gpu, plain):
-        made.adam.steps = UNKNOWN  # from now on gradients are shortened
+        made.adam.steps = NORM_STEPS  # from now on gradients are shortened
         pushed(made, 3)
     np.testing.assert_allclose(gpu.values(), cpu.values(), rtol=1e-3, atol=1e-5)
     assert not np.allclose(gpu.values(), plain.values(), rtol=1e-3, atol=1e-5)
@@ -83,7 +85,7 @@ def test_a_look_finds_what_is_occupied_now(device):
     gpu = made_on(device)
     gpu.rest.set_occupied(np.random.default_rng(3).random(gpu.rest.cells**3) < 0.05)
     gpu._at_rest = torch.from_numpy(gpu.rest.distances).to(device)
-    gpu.live.displacement.copy_(torch.from_numpy(displacement_grid(3, VERTICES, 0.04).ravel()))
+    gpu.device_field.displacement.copy_(torch.from_numpy(displacement_grid(3, VERTICES, 0.04).ravel()))
     gpu.look()
     gpu.collect()
     expected = displaced_occupancy(gpu.rest, gpu.field.displacement)
@@ -125,7 +127,7 @@ def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
             made.field.color = hash_color(6)
             moving, color_to = MovingGeometry, np.zeros((1, len(made.field.color.values)), np.float32)
         else:
-            still = GpuFixedGeometry(made.field, cameras, 0.1, where)
+            still = GpuFixedGeometry(made.field, cameras, 0.1, 1, 0, device=where)
             made.field.color = hash_color(6)
             moving, color_to = GpuMovingGeometry, still.new_adam().gradients
         geometry = moving(made.field, cameras, 0.1, 1, 0.75, made, still)
@@ -145,7 +147,9 @@ def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
 
 def fitter_on(where, steps: int = 3) -> DeformationFitter:
     settings = DeformSettings(steps, rays=24, vertices=VERTICES, rate=3e-3, smoothness=0.1, patience=0.0)
-    return DeformationFitter(thin_field(step=STEP), bent(), box_bank(4, 10), settings, 0, 1, device=where)
+    return DeformationFitter(
+        thin_field(step=STEP), bent(), box_bank(4, 10), settings, 0, 1, backend=deform_backend(where)
+    )
 
 
 def test_the_initialization_is_the_cpus(device):
@@ -178,7 +182,7 @@ def test_what_is_best_is_in_the_field_at_the_end(device):
     assert gpu.quality() == pytest.approx(gpu.state.best, abs=1e-4)
     assert np.array_equal(gpu.deformer.deformation.values, gpu._best)
     # The host's field is that field: its own kernels see the same.
-    cpu = fitter.PhotoError(gpu.deformer, 1.0, gpu.settings.share, 1)
+    cpu = PhotoError(gpu.deformer, 1.0, gpu.settings.weight_threshold, 1)
     assert cpu.of(*drawn) == pytest.approx(gpu._error.of(*drawn), rel=1e-3)
 
 
@@ -186,15 +190,15 @@ def test_rays_that_find_no_room_teach_nothing(device, monkeypatch):
     from stylerf.training.deform import deformer_gpu
 
     gpu = fitter_on(device)
-    drawn = gpu.bank.draw(24, np.random.default_rng(0), 4)[:3]
+    drawn = gpu.dataset.draw(24, np.random.default_rng(0), 4)[:3]
     jitter = np.full(24, 0.5, np.float32)
-    samples = render_rays(gpu.field, fitter.Rays.of(*drawn[:2], 0.0), threads=1).samples
+    samples = render_rays(gpu.field, Rays.of(*drawn[:2], 0.0), threads=1).samples
     ends = np.cumsum(samples.ends - samples.starts)
     monkeypatch.setattr(deformer_gpu, "MOST_SAMPLES", int(ends[-1]) - 1)
     inside = int(np.searchsorted(ends, ends[-1] - 1, side="right"))
     assert 0 < inside < 24
     found = gpu._error.learn(*drawn, jitter)
-    error = fitter.PhotoError(gpu.deformer, 1.0, gpu.settings.share, 1).of(*(a[:inside] for a in drawn))
+    error = PhotoError(gpu.deformer, 1.0, gpu.settings.weight_threshold, 1).of(*(a[:inside] for a in drawn))
     if device.type == "cpu":
         assert found == pytest.approx(error, rel=1e-4)
     assert bool(torch.isfinite(gpu.deformer.gradients).all()) and gpu.deformer.gradients.any()

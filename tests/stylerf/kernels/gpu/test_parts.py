@@ -65,11 +65,11 @@ def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(devi
         cpu.gradients[0], gpu.gradients[:] = gradient, torch.from_numpy(gradient).to(device)
         cpu.step(0.1)
         gpu.step(0.1)
-        assert float(gpu.usual) == pytest.approx(cpu.usual, rel=1e-6)
+        assert float(gpu.running_norm) == pytest.approx(cpu.running_norm, rel=1e-6)
         np.testing.assert_allclose(gpu.first.cpu(), cpu.first, rtol=2e-5, atol=2e-6)
     again = GpuAdam(gpu.values, cpu.groups, 2.0)
     again.restore(gpu.arrays())
-    assert float(again.usual) == float(gpu.usual) > 0
+    assert float(again.running_norm) == float(gpu.running_norm) > 0
 
 
 def test_hash_rows_and_their_gradient_equal_the_oracle(device):

@@ -57,7 +57,7 @@ def test_a_random_palette_comes_to_the_colors_too():
 def test_each_quarter_has_a_color_of_its_own():
     """No collapse: the strongest colors of the four quarters differ, from eight as from four at first."""
     for colors in (4, 8):
-        made = trainer(colors=colors, most_colors=colors)
+        made = trainer(colors=colors, max_colors=colors)
         made.run()
         view = view_of(0)
         strongest = made.module.weights(view.x).argmax(1)
@@ -97,7 +97,7 @@ def test_pruning_by_shares():
 @pytest.mark.parametrize("style", [False, True])
 @pytest.mark.parametrize("at", ["palette", "last", "pruned"])
 def test_a_killed_run_goes_on_to_the_same_bits(style, at):
-    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5, "most_colors": 3}
+    more = {"palette_steps": 6, "style_steps": 4, "pruned_steps": 5, "pruned_style_steps": 5, "max_colors": 3}
 
     def stop(running: EditTrainer) -> None:
         if running.state.phase == phase and running.state.step == step:
@@ -179,10 +179,10 @@ def test_what_cannot_be_learned_is_refused():
     module = start_module(views, SMALL, 0)
     with pytest.raises(InvalidValue, match="no view shows"):
         EditTrainer([], module, SMALL, None, None, 0, 1)
-    with pytest.raises(InvalidValue, match="needs a feature trunk"):
+    with pytest.raises(InvalidValue, match="needs a feature extractor"):
         EditTrainer(views, module, SMALL, picture(40, 40, 0), None, 0, 1)
     with pytest.raises(InvalidValue, match=r"8 colors .* of which 9 may stay"):
-        replace(SMALL, most_colors=9)
+        replace(SMALL, max_colors=9)
     views[0].target[:] = np.nan
     with pytest.raises(Diverged, match="palette step 0"):
         EditTrainer(views, module, SMALL, None, None, 0, 1).run()

@@ -6,8 +6,10 @@ import pytest
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.srgb import decoded, exposed
 from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.fit.capacity_levels import LEVELS
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures, balanced
 from stylerf.training.fit.fitter import Fitter
+from stylerf.training.fit.settings import Trial
 from tests.stylerf.training.running import resumed, run_until
 from tests.stylerf.training.scenes import box_fitter, box_photo, dome, settings, wall_bank
 
@@ -91,7 +93,7 @@ def test_a_fit_brings_photos_to_one_exposure_and_gains_by_it():
     assert np.corrcoef(found, MORE_STOPS)[0, 1] > 0.98 and np.abs(found - MORE_STOPS).max() < 0.2
     assert fitter.state.rollbacks == 0
     assert any("photos differ in exposure by 0." in text for text in said)
-    assert "brought to one" in fitter.state.decisions[0]
+    assert "corrected to one" in fitter.state.decisions[0]
 
 
 @pytest.mark.parametrize("exposure", ["off", "auto"])
@@ -126,11 +128,11 @@ def test_every_figure_that_is_compared_moves_with_the_photos():
     fitter = box_fitter(40, bank=uneven_bank(), exposure="on")
     fitter.run()
     state, before = fitter.state, fitter.held_out_psnr()
-    state.best, state.whole, state.trial = 30.0, 31.0, {"what": "grow", "before": 29.0}
+    state.best, state.unpruned, state.trial = 30.0, 31.0, Trial("grow", 29.0, LEVELS[0], 1000)
     fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(-1, 1, len(stops))
     after = fitter._balance(before)
     assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1
-    assert np.array([state.best - 30, state.whole - 31, state.trial["before"] - 29]) == pytest.approx(after - before)
+    assert np.array([state.best - 30, state.unpruned - 31, state.trial.before - 29]) == pytest.approx(after - before)
 
 
 def test_a_field_that_has_fallen_judges_no_photo():
@@ -153,6 +155,6 @@ def test_a_resumed_fit_goes_on_with_the_exposures_it_had():
     run_until(stopped, 21)
     assert stopped.state.stops
     again = resumed(made(), stopped)
-    assert np.array_equal(again.bank.codes, stopped.bank.codes)
+    assert np.array_equal(again.dataset.codes, stopped.dataset.codes)
     again.run()
     assert np.array_equal(again.field.color.values, whole.field.color.values)

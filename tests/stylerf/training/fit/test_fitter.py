@@ -17,14 +17,14 @@ from stylerf.training.fit.engine import Batch, CpuEngine, StepResult
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.small import close, field_of, vm_color
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, result_of, resumed, run_until, saved
-from tests.stylerf.training.scenes import LADDER, box_fitter, masked_wall, settings
+from tests.stylerf.training.scenes import LEVELS, box_fitter, masked_wall, settings
 
 # -- resuming -------------------------------------------------------------------------------------------------------
 
 
 def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
     """Stopped before any look at held-out views, at a growth, within a trial, after a drop, at the end."""
-    steps, more = 320, {"shares": (0.32, 0.63), "min_gain": 9.0, "background": "random"}
+    steps, more = 320, {"level_ends": (0.32, 0.63), "min_gain": 9.0, "background": "random"}
     whole = box_fitter(steps, **more)
     whole.run()
     expected, arrays = result_of(whole)
@@ -129,8 +129,8 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
 
     fitter.engine.warm_up = watched
     fitter.warm_up()
-    fitter._warm_up([replace(LADDER[-1], degree=0)])
-    fitter._warm_up([replace(LADDER[-1], degree=1)])
+    fitter._warm_up([replace(LEVELS[-1], degree=0)])
+    fitter._warm_up([replace(LEVELS[-1], degree=1)])
     assert seen[0] == [1] and seen[1:] == [[0]]
 
 
@@ -139,7 +139,7 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
 
 def poison(fitter: Fitter, steps) -> None:
     """NaN among the colors that the rays of these steps should meet."""
-    draw = fitter.bank.draw
+    draw = fitter.dataset.draw
 
     def drawn(*arguments):
         origins, directions, colors, views = draw(*arguments)
@@ -147,7 +147,7 @@ def poison(fitter: Fitter, steps) -> None:
             colors[7] = np.nan
         return origins, directions, colors, views
 
-    fitter.bank.draw = drawn
+    fitter.dataset.draw = drawn
 
 
 def test_a_loss_of_nan_brings_back_the_best_field_with_half_the_rate():
@@ -203,7 +203,7 @@ def test_held_out_views_that_fall_by_more_than_two_db_bring_back_the_best_field(
     assert fitter.state.decisions[-1].startswith("held-out views fell from 17.")
     best, last = fitter.state.best, fitter.state.curve[-1]["psnr"]
     assert best - last > 2 and fitter.held_out_psnr() == pytest.approx(best, abs=1e-9)
-    assert fitter.state.stands["held out"] == pytest.approx(best, abs=1e-3)  # not of what was left behind
+    assert fitter.state.quality["held out"] == pytest.approx(best, abs=1e-3)  # not of what was left behind
 
 
 def test_a_fall_of_less_is_noise():
@@ -212,10 +212,10 @@ def test_a_fall_of_less_is_noise():
     assert fitter.state.rollbacks == 0
 
 
-def test_a_fall_within_the_trial_of_a_rung_leaves_the_ladder():
-    fitter = box_fitter(300, shares=(0.34, 0.68), ladder=LADDER[:2])
+def test_a_fall_within_the_trial_of_a_level_leaves_the_levels():
+    fitter = box_fitter(300, level_ends=(0.34, 0.68), levels=LEVELS[:2])
     fitter.run(spoil(fitter, 120, -9.0))
-    assert fitter.state.rollbacks == 1 and fitter.state.fixed and fitter.state.rung == 0
+    assert fitter.state.rollbacks == 1 and fitter.state.growth_ended and fitter.state.level == 0
     assert fitter.field.density.size.max() == 8 and fitter.state.trial is None
 
 
@@ -239,7 +239,7 @@ def test_quality_that_is_no_number_counts_as_a_fall(monkeypatch):
     monkeypatch.setattr(fitter, "held_out_psnr", lambda: next(looks, 14.0))
     fitter.run()
     assert fitter.state.rollbacks == 1 and "nan" in fitter.state.decisions[0]
-    assert all(np.isfinite(value) for value in fitter.state.stands.values())
+    assert all(np.isfinite(value) for value in fitter.state.quality.values())
 
 
 def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_return_to():
@@ -265,7 +265,7 @@ def test_past_half_of_its_budget_a_fit_that_falls_apart_ends_with_its_best_field
     fitter.run(on_step)
     assert fitter.state.step == 45 and fitter.state.rollbacks == 5 and fitter.state.ended_at == 0.75
     assert_same_bits(now(fitter.checkpoint()[1]), anchor)
-    assert fitter.said[-1] == fitter.state.decisions[-1] and "ended with the best field, 75%" in fitter.said[-1]
+    assert fitter.said[-1] == fitter.state.decisions[-1] and "stopping with the best field, 75%" in fitter.said[-1]
     again = resumed(box_fitter(60), fitter)
     again.run()
     assert again.state.step == 45
@@ -275,12 +275,12 @@ def test_past_half_of_its_budget_a_fit_that_falls_apart_ends_with_its_best_field
 def test_a_checkpoint_of_before_goes_on():
     """It tells neither the quality of what stands nor whether the fit has ended."""
     data, arrays = saved(run_until(box_fitter(30), 12))
-    for later in ("stands", "anchored", "ended_at"):
+    for later in ("quality", "anchor_quality", "ended_at"):
         del data["state"][later]
     fitter = box_fitter(30)
     fitter.resume(data, arrays)
     fitter.run()
-    assert fitter.state.step == 30 and fitter.state.stands
+    assert fitter.state.step == 30 and fitter.state.quality
 
 
 # -- memory ---------------------------------------------------------------------------------------------------------

@@ -7,64 +7,64 @@ import pytest
 
 from stylerf.rendering.view import render_view
 from stylerf.training.fit import capacity_search
-from stylerf.training.fit.capacity_search import LEAST_STEPS_PER_RUNG, TELLING_PSNR
+from stylerf.training.fit.capacity_search import MIN_STEPS_PER_LEVEL, ROUNDING_PSNR
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, resumed, run_until
-from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, box_photo, dome, settings, wall_bank
+from tests.stylerf.training.scenes import LEVELS, box_bank, box_fitter, box_photo, dome, settings, wall_bank
 
 
-def test_a_rung_that_gains_too_little_is_dropped_for_the_field_before_it():
-    fitter, seen, tried = box_fitter(300, min_gain=50.0, shares=(0.34, 0.68)), {}, []
+def test_a_level_that_gains_too_little_is_dropped_for_the_field_before_it():
+    fitter, seen, tried = box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68)), {}, []
 
     def on_step(now_: Fitter) -> None:
         state = now_.state
         if state.trial is not None and not seen:
             seen.update(now(now_.checkpoint()[1], "anchor."))
-            tried.append(state.trial["before"])
+            tried.append(state.trial.before)
             assert now_.field.density.size.max() == 12
-        if state.fixed:
+        if state.growth_ended:
             assert_same_bits(now(now_.checkpoint()[1]), seen)
             assert now_.held_out_psnr() == pytest.approx(tried[0], abs=1e-9)
             raise Stopped
 
     with pytest.raises(Stopped):
         fitter.run(on_step)
-    assert fitter.state.rung == 0 and fitter.field.density.size.max() == 8 and fitter.state.step > 200
+    assert fitter.state.level == 0 and fitter.field.density.size.max() == 8 and fitter.state.step > 200
     assert len(fitter.state.decisions) == 1 and "12^3 rank 16+24 dropped" in fitter.state.decisions[0]
-    fitter = resumed(box_fitter(300, min_gain=50.0, shares=(0.34, 0.68)), fitter)
+    fitter = resumed(box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68)), fitter)
     fitter.run()
-    assert fitter.state.rung == 0 and len(fitter.state.decisions) == 1  # not tried twice
+    assert fitter.state.level == 0 and len(fitter.state.decisions) == 1  # not tried twice
 
 
-def test_a_rung_that_gains_is_kept():
-    fitter = box_fitter(300, ladder=LADDER[:2])
+def test_a_level_that_gains_is_kept():
+    fitter = box_fitter(300, levels=LEVELS[:2])
     fitter.run()
-    assert fitter.state.rung == 1 and fitter.field.density.size.max() == 12
+    assert fitter.state.level == 1 and fitter.field.density.size.max() == 12
     assert "12^3 rank 16+24 kept" in fitter.state.decisions[0]
     sizes = [entry["parameters"] for entry in fitter.state.curve]
     assert sizes == sorted(sizes) and sizes[-1] == fitter.field.parameters > sizes[0]
 
 
-def test_a_long_budget_leaves_a_coarse_rung_after_its_longest():
-    """Rungs of shares of a long budget would last longer; the last trial too ends by its steps, not by the budget."""
-    fitter, climbed = box_fitter(3000, min_gain=-9.0, longest=(110, 240, 350), shares=(0.4, 0.6)), {}
+def test_a_long_budget_leaves_a_coarse_level_after_its_longest():
+    """By fractions of a long budget, levels would last longer; the last trial, too, ends by its steps."""
+    fitter, level_gain = box_fitter(3000, min_gain=-9.0, level_max_steps=(110, 240, 350), level_ends=(0.4, 0.6)), {}
 
     def on_step(now_: Fitter) -> None:
-        climbed.setdefault(now_.state.rung, now_.state.step)
+        level_gain.setdefault(now_.state.level, now_.state.step)
         if len(now_.state.decisions) == 2:
             raise Stopped
 
     with pytest.raises(Stopped):
         fitter.run(on_step)
-    assert climbed == {0: 1, 1: 110, 2: 240}
-    # The last trial is judged at the first look after its longest; looks are a twenty-fifth of the budget apart.
+    assert level_gain == {0: 1, 1: 110, 2: 240}
+    # The last trial is judged at the first evaluation after its maximum of steps.
     assert 350 <= fitter.state.step <= 350 + 120 and fitter.state.trial is None
 
 
 def test_growing_holds_the_same_picture():
     fitter = run_until(box_fitter(300), 60)
     before = fitter.held_out_psnr()
-    fitter._resize(LADDER[2])
+    fitter._resize(LEVELS[2])
     assert fitter.field.density.size.max() == 16 and fitter.field.occupancy.cells == 16 and fitter.field.step == 1 / 16
     fitter.field.step = 1 / 8
     assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
@@ -82,7 +82,7 @@ def test_a_trial_has_its_least_steps_however_few_a_fit_has():
     """By its share of the budget the trial of 12^3 would end at step 96 of 320, before it has begun."""
     sizes = sizes_by_step(320, min_gain=50.0)
     tried = [step for step, size in sizes.items() if size > min(sizes.values())]
-    assert LEAST_STEPS_PER_RUNG < min(tried) < 120 and 200 <= max(tried) < 220
+    assert MIN_STEPS_PER_LEVEL < min(tried) < 120 and 200 <= max(tried) < 220
 
 
 @pytest.mark.parametrize("steps", [150, 200])
@@ -92,10 +92,10 @@ def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
 
 
 def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
-    asked, told = box_fitter(400, always_climb=True, shares=(0.25, 0.5)), {}
+    asked, told = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
 
     def on_step(now_: Fitter) -> None:
-        told.setdefault((now_._judging, now_.state.rung), now_.progress)
+        told.setdefault((now_._judging, now_.state.level), now_.progress)
 
     asked.run(on_step)
     # What was asked for stays from the first look on.
@@ -104,7 +104,7 @@ def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
     grown = box_fitter(800, min_gain=-9.0)
     grown.run()
     assert 0.38 <= next(p["step"] for p in grown.state.curve if not p["held_out"]) / 800 <= 0.44
-    never = box_fitter(400, always_climb=True, shares=(0.25, 0.5), held_out_until=1.0)
+    never = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5), held_out_until=1.0)
     never.run()
     assert all(point["held_out"] for point in never.state.curve[:-1])
 
@@ -116,40 +116,40 @@ def test_where_no_view_is_held_out_decisions_are_told_as_of_training_views():
 
 
 def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
-    fitter = box_fitter(300, min_gain=50.0, always_climb=True)
+    fitter = box_fitter(300, min_gain=50.0, force_growth=True)
     fitter.run()
-    assert fitter.field.density.size.max() == 16 and all("asked for" in d for d in fitter.state.decisions)
+    assert fitter.field.density.size.max() == 16 and all("as requested" in d for d in fitter.state.decisions)
 
 
 @pytest.mark.parametrize("steps", [60, 250])
-def test_a_short_fit_shares_its_steps_among_the_rungs_to_what_was_asked_for(steps):
-    fitter, climbed = box_fitter(steps, always_climb=True), {}
-    fitter.run(lambda now_: climbed.setdefault(now_.state.rung, now_.state.step))
-    assert climbed == {0: 1, 1: math.ceil(steps / 3), 2: math.ceil(2 * steps / 3)}
+def test_a_short_fit_shares_its_steps_among_the_levels_to_what_was_asked_for(steps):
+    fitter, level_gain = box_fitter(steps, force_growth=True), {}
+    fitter.run(lambda now_: level_gain.setdefault(now_.state.level, now_.state.step))
+    assert level_gain == {0: 1, 1: math.ceil(steps / 3), 2: math.ceil(2 * steps / 3)}
     assert fitter.field.density.size.max() == 16
 
 
 @pytest.mark.parametrize("steps", [300, 900])
-def test_where_every_rung_has_its_least_steps_nothing_of_that_changes(steps):
-    fitter, climbed = box_fitter(steps, always_climb=True, shares=(0.05, 0.1)), {}
+def test_where_every_level_has_its_least_steps_nothing_of_that_changes(steps):
+    fitter, level_gain = box_fitter(steps, force_growth=True, level_ends=(0.05, 0.1)), {}
 
     def on_step(now_: Fitter) -> None:
-        climbed.setdefault(now_.state.rung, now_.state.step)
-        if now_.state.rung == 2:
+        level_gain.setdefault(now_.state.level, now_.state.step)
+        if now_.state.level == 2:
             raise Stopped
 
     with pytest.raises(Stopped):
         fitter.run(on_step)
-    assert climbed == {0: 1, 1: LEAST_STEPS_PER_RUNG, 2: 2 * LEAST_STEPS_PER_RUNG}
+    assert level_gain == {0: 1, 1: MIN_STEPS_PER_LEVEL, 2: 2 * MIN_STEPS_PER_LEVEL}
 
 
 def test_what_is_told_is_the_quality_of_the_field_that_stands():
     """Neither of one on trial that was refused nor of one that was left behind by a return."""
-    fitter, told = box_fitter(300, min_gain=50.0, shares=(0.34, 0.68), ladder=LADDER[:2]), []
+    fitter, told = box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68), levels=LEVELS[:2]), []
 
     def on_step(now_: Fitter) -> None:
-        if now_.state.fixed and not told:
-            told.extend([now_.state.stands["held out"], now_.state.curve[-1]["psnr"], now_.held_out_psnr()])
+        if now_.state.growth_ended and not told:
+            told.extend([now_.state.quality["held out"], now_.state.curve[-1]["psnr"], now_.held_out_psnr()])
             raise Stopped
 
     with pytest.raises(Stopped):
@@ -163,33 +163,33 @@ def test_a_wall_of_one_color_stays_at_the_smallest_capacity(steps):
     space, bank = wall_bank()
     fitter = Fitter(space, bank, 2, settings(steps), 0, 1)
     fitter.run()
-    assert fitter.state.rung == 0 and fitter.field.density.size.max() == LADDER[0].resolution
+    assert fitter.state.level == 0 and fitter.field.density.size.max() == LEVELS[0].resolution
     assert {entry["parameters"] for entry in fitter.state.curve} == {fitter.field.parameters}
-    assert fitter.state.rollbacks == 0 and fitter.state.curve[-1]["psnr"] > TELLING_PSNR
+    assert fitter.state.rollbacks == 0 and fitter.state.curve[-1]["psnr"] > ROUNDING_PSNR
 
 
 # -- giving up ------------------------------------------------------------------------------------------------------
 
 
 def reducing(steps: int = 400, **more) -> Fitter:
-    given = {"ladder": LADDER[:1], "shares": (0.3,), "reductions": ("density ranks",), "min_gain": 0.3}
+    given = {"levels": LEVELS[:1], "level_ends": (0.3,), "prunings": ("density ranks",), "min_gain": 0.3}
     return box_fitter(steps, **{**given, **more})
 
 
-def test_ranks_that_the_views_do_not_miss_are_given_up():
+def test_ranks_that_the_views_do_not_miss_are_pruned():
     fitter = reducing()
     fitter.run()
     assert fitter.field.density.rank == 8 and fitter.field.color.rank == 24
     sizes = [entry["parameters"] for entry in fitter.state.curve]
     assert sizes[-1] == fitter.field.parameters < 0.85 * sizes[0]
-    whole = box_fitter(400, ladder=LADDER[:1])
+    whole = box_fitter(400, levels=LEVELS[:1])
     whole.run()
     assert unseen_psnr(fitter) > unseen_psnr(whole) - 0.3
-    assert "is enough" in fitter.state.decisions[0] and fitter.climb.told(1).startswith("vm 8^3 rank 8+24")
+    assert "is enough" in fitter.state.decisions[0] and fitter.search.summary(1).startswith("vm 8^3 rank 8+24")
 
 
 def test_what_the_views_miss_comes_back_to_the_bit():
-    fitter, before = reducing(min_gain=-50.0, reductions=("density ranks",)), {}
+    fitter, before = reducing(min_gain=-50.0, prunings=("density ranks",)), {}
 
     def on_step(now_: Fitter) -> None:
         if now_.state.trial is not None:
@@ -202,20 +202,20 @@ def test_what_the_views_miss_comes_back_to_the_bit():
     with pytest.raises(Stopped):
         fitter.run(on_step)
     assert fitter.field.density.rank == 16 and "is too little" in fitter.state.decisions[0]
-    assert fitter.state.refused == ["density ranks"] and fitter.state.rate_scale == 1.0
+    assert fitter.state.rejected == ["density ranks"] and fitter.state.rate_scale == 1.0
 
 
 def test_what_the_views_miss_badly_is_not_even_taught(monkeypatch):
     monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", -50.0)
-    fitter = reducing(260, reductions=("color ranks",), min_gain=-50.0)
+    fitter = reducing(260, prunings=("color ranks",), min_gain=-50.0)
     fitter.run()
     assert fitter.field.color.rank == 24 and "8^3 rank 16+16 is too little" in fitter.state.decisions[0]
     assert len({entry["parameters"] for entry in fitter.state.curve}) == 1
 
 
-def test_a_fit_stopped_within_a_reduction_goes_on_to_the_same_bits(monkeypatch):
+def test_a_fit_stopped_within_a_pruning_goes_on_to_the_same_bits(monkeypatch):
     monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", 50.0)
-    given = {"reductions": ("color ranks",), "min_gain": 0.01}
+    given = {"prunings": ("color ranks",), "min_gain": 0.01}
     whole = reducing(260, **given)
     whole.run()
     at = run_until(reducing(260, **given), 130)

@@ -9,7 +9,7 @@ from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed, run_until
 from tests.stylerf.training.scenes import box_fitter, box_photo, dome
 
-LADDER = tuple(CapacityLevel(n, cells=8, table_bits=10) for n in (8, 16))
+LEVELS = tuple(CapacityLevel(n, cells=8, table_bits=10) for n in (8, 16))
 KINDS = {
     "hash": Kinds("hash", "hash"),
     "voxel": Kinds("voxel", "voxel"),
@@ -23,7 +23,7 @@ def kinds(request) -> Kinds:
 
 
 def fitter_of(kinds: Kinds, steps: int = 300, **more) -> Fitter:
-    return box_fitter(steps, kinds=kinds, ladder=LADDER, shares=(0.4,), always_climb=True, **more)
+    return box_fitter(steps, kinds=kinds, levels=LEVELS, level_ends=(0.4,), force_growth=True, **more)
 
 
 def seen_psnr(fitter: Fitter) -> float:
@@ -43,7 +43,7 @@ def test_it_learns_and_grows_and_goes_on_as_if_never_stopped(kinds):
     fitter.run()
     assert seen_psnr(fitter) > max(before + 6, 18)
     sizes = [entry["parameters"] for entry in fitter.state.curve]
-    assert fitter.state.rung == 1 and sizes[-1] > sizes[0]
+    assert fitter.state.level == 1 and sizes[-1] > sizes[0]
     stopped = run_until(fitter_of(kinds, smoothness=(1e-4, 1e-4)), 200)
     again = resumed(fitter_of(kinds, smoothness=(1e-4, 1e-4)), stopped)
     again.run()
@@ -54,7 +54,7 @@ def test_it_learns_and_grows_and_goes_on_as_if_never_stopped(kinds):
 def test_growing_holds_the_same_picture(kinds):
     fitter = run_until(fitter_of(kinds), 100)
     step, before = fitter.field.step, fitter.held_out_psnr()
-    fitter._resize(LADDER[1])
+    fitter._resize(LEVELS[1])
     assert fitter.field.step == step / 2
     fitter.field.step = step
     # Sixteen vertices do not hold eight exactly; hash levels do.

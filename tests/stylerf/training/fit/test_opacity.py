@@ -5,7 +5,7 @@ import numpy as np
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.engine import coverage_gradient, opacity_gradient
 from tests.stylerf.training.fit.test_visual_hull import ball_photo
-from tests.stylerf.training.scenes import LADDER, box_bank, box_fitter, dome
+from tests.stylerf.training.scenes import LEVELS, box_bank, box_fitter, dome
 
 
 def test_the_gradient_is_that_of_the_stated_loss():
@@ -29,7 +29,7 @@ def test_rays_of_a_fit_are_clear_or_opaque():
     haze = []
     for weight in (0.0, 0.05):
         fitter = box_fitter(
-            250, held_out=7, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, opacity=weight
+            250, held_out=7, bank=bank, levels=LEVELS[-1:], level_ends=(), held_out_until=1.0, opacity=weight
         )
         fitter.run()
         alpha = seen(fitter)
@@ -64,7 +64,7 @@ def test_pale_matter_is_told_from_a_white_background():
     bank = RayDataset(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])
     covered, errors = [], []
     for weight in (0.0, 0.1):
-        fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=weight)
+        fitter = box_fitter(300, bank=bank, levels=LEVELS[-1:], level_ends=(), held_out_until=1.0, coverage=weight)
         fitter.run()
         wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)
         covered.append(float(alpha[wanted > 0.5].mean()))
@@ -77,7 +77,7 @@ def test_a_white_ball_that_is_missing_before_white_is_no_good_fit():
     cameras = dome(8, 1, 24)
     bank = RayDataset(cameras, [np.maximum(ball_photo(camera), np.uint8([255, 255, 255, 0])) for camera in cameras])
     missing = box_fitter(1, bank=bank)
-    fitter = box_fitter(300, bank=bank, ladder=LADDER[-1:], shares=(), held_out_until=1.0, coverage=0.3)
+    fitter = box_fitter(300, bank=bank, levels=LEVELS[-1:], level_ends=(), held_out_until=1.0, coverage=0.3)
     fitter.run()
     assert fitter.state.rollbacks == 0
     wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)

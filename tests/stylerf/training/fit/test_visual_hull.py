@@ -10,7 +10,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.visual_hull import clear_cells
 from tests.stylerf.training.running import resumed, run_until
-from tests.stylerf.training.scenes import AROUND, LADDER, box_fitter, dome
+from tests.stylerf.training.scenes import AROUND, LEVELS, box_fitter, dome
 
 CELLS, RADIUS = 16, 0.3  # of a ball in the middle of a box 1.6 wide
 
@@ -79,8 +79,8 @@ def ball_bank() -> RayDataset:
 
 
 def test_a_fit_never_looks_there_while_it_grows_and_resumes():
-    ladder = LADDER[0], replace(LADDER[1], cells=16)
-    more = {"ladder": ladder, "shares": (0.4,), "always_climb": True, "hull": 0.05}
+    levels = LEVELS[0], replace(LEVELS[1], cells=16)
+    more = {"levels": levels, "level_ends": (0.4,), "force_growth": True, "visual_hull": 0.05}
     fitter = run_until(box_fitter(250, bank=ball_bank(), **more), 150)
     fitter = resumed(box_fitter(250, bank=ball_bank(), **more), fitter)
     assert fitter.field.occupancy.cells == 16
@@ -93,4 +93,4 @@ def test_a_fit_that_is_not_asked_to_or_has_no_transparency_looks_everywhere():
     assert box_fitter(10, bank=ball_bank()).field.occupancy.clear is None
     cameras = dome(12, 1, 24)
     opaque = RayDataset(cameras, [ball_photo(camera)[..., :3].copy() for camera in cameras])
-    assert box_fitter(10, bank=opaque, hull=0.05).field.occupancy.clear is None
+    assert box_fitter(10, bank=opaque, visual_hull=0.05).field.occupancy.clear is None

@@ -15,81 +15,70 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.style.style_objective import StyleObjective, StyleWeights
 from stylerf.training.stylize import arf as module
 from stylerf.training.stylize import geometry
-from stylerf.training.stylize.arf import ArfTrainer
-from stylerf.training.stylize.settings import StyleSettings
-from stylerf.training.stylize.trainer import MEMORY
-from tests.stylerf.small import field_of, float64, hash_color, oracle_color, vm_color
-from tests.stylerf.style.small_trunk import picture, small_trunk
+from stylerf.training.stylize.arf import Arf
+from stylerf.training.stylize.scene import CPU, MEMORY, StyleBackend
+from stylerf.training.stylize.settings import ArfSettings, DesrfSettings
+from stylerf.training.stylize.trainer import StylizationTrainer
+from tests.stylerf.small import float64, oracle_color
+from tests.stylerf.style.small_trunk import small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
-
-BOX = SpaceWarp.box([-1, -1, -1], [1, 1, 1])
-HEIGHT, WIDTH, GRAY = 14, 18, 0.75
-
-
-def camera(index: int) -> Camera:
-    eye = 2.8 * np.array([np.cos(1.3 * index), np.sin(1.3 * index), 0.3])
-    pose = look_at(eye, np.zeros(3), np.array([0, 0, 1.0]))
-    return Camera(f"s{index}", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, pose)
-
-
-def settings(**more) -> StyleSettings:
-    small = {"steps": 12, "refit_steps": 8, "refit_pixels": 128, "feature_scale": 1.0, "style_basis": 0, "share": 0.1}
-    return StyleSettings(**{**small, "weights": StyleWeights(1.0, 0.02, 0.5), **more})
+from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, WIDTH, problem, settings, trainer
 
 
 def stylizer(
-    chunks: int = 1, seed: int = 0, space: SpaceWarp = BOX, deform: bool = False, memory: float = MEMORY, **more
-) -> ArfTrainer:
-    field = field_of(space, 3, vm_color(4))
-    field.density.values[-1] = -3.0
-    photos = [picture(HEIGHT, WIDTH, 20 + i).permute(1, 2, 0).numpy().copy() for i in range(3)]
-    cameras = [camera(i) for i in range(3)]
-
-    def new_color(generator, pixel_cells):
-        return hash_color(int(generator.integers(1000)))
-
-    painting = picture(20, 24, 9)
-    deformation = Deformation.create(np.random.default_rng(0), frequencies=2, width=16) if deform else None
-    given = settings(**more, **({"displacement_vertices": 8} if deform else {}))
-    more = (painting, small_trunk(), given, seed, chunks, new_color, deformation, memory)
-    return ArfTrainer(field, cameras, photos, GRAY, *more)
+    threads: int = 1, seed: int = 0, space: SpaceWarp = BOX, deform: bool = False, memory: float = MEMORY,
+    backend: StyleBackend = CPU, to: str = "cpu", **given
+) -> StylizationTrainer:  # fmt: skip
+    """ARF, or with `deform` DeSRF, on a tiny scene. to: device of the extractor."""
+    kind, more = ArfSettings, {"threads": threads, "memory": memory, "backend": backend}
+    if deform:
+        kind, given = DesrfSettings, {"displacement_vertices": 8, **given}
+        more["deformation"] = Deformation.create(np.random.default_rng(0), frequencies=2, width=16)
+    made = problem(settings(kind, **given), seed, space=space, **more)
+    return trainer(lambda scene: Arf(scene, small_trunk().to(to)), made)
 
 
-def style_gradient(made: ArfTrainer) -> np.ndarray:
+def style_gradient(made: StylizationTrainer) -> np.ndarray:
     """dL/d(color values) of one style step, before the optimizer takes it."""
     found = []
-    made.adam.step = lambda rate: found.append(made.adam.gradients.sum(0, dtype=np.float64))
-    made.style_step()
+    made.scene.adam.step = lambda rate: found.append(made.scene.adam.gradients.sum(0, dtype=np.float64))
+    made.method.step()
     return found[0]
 
 
 # -- what a step teaches --------------------------------------------------------------------------------------------
 
 
-def oracle_picture(made: ArfTrainer, view: int, values: torch.Tensor, pixels: np.ndarray) -> torch.Tensor:
+def oracle_picture(made: StylizationTrainer, view: int, values: torch.Tensor, pixels: np.ndarray) -> torch.Tensor:
     """Premultiplied rgb [n, 3] of pixels in float64, from the packed surface."""
-    starts, ends, x, weights = made.geometry.surface(view).samples(pixels)
+    starts, ends, x, weights = made.scene.geometry.surface(view).samples(pixels)
     rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))
-    colors = oracle_color(made.field.color, values, None, float64(x))
+    colors = oracle_color(made.scene.field.color, values, None, float64(x))
     return torch.zeros(len(pixels), 3, dtype=torch.float64).index_add(0, rays, float64(weights)[:, None] * colors)
 
 
-def oracle_loss(made: ArfTrainer, view: int, premultiplied: torch.Tensor) -> torch.Tensor:
+def oracle_loss(made: StylizationTrainer, view: int, premultiplied: torch.Tensor) -> torch.Tensor:
     """The style objective of a view's picture over the background, in float64 from end to end."""
     s = made.settings
     objective = StyleObjective(
-        small_trunk().double(), made.painting.double(), (HEIGHT, WIDTH), s.weights, s.feature_scale, s.style_rows, 0
+        small_trunk().double(),
+        made.scene.problem.style_image.double(),
+        (HEIGHT, WIDTH),
+        s.weights,
+        s.feature_scale,
+        s.style_rows,
+        0,
     )
-    alpha = float64(made.geometry.alpha(view))
-    content = objective.content_of(float64(made.photos[view]).permute(2, 0, 1))
+    alpha = float64(made.scene.geometry.alpha(view))
+    content = objective.content_of(float64(made.scene.photos[view]).permute(2, 0, 1))
     rgb = premultiplied.reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
     return objective(rgb.permute(2, 0, 1), content, alpha)[0]
 
 
-def oracle_gradients(made: ArfTrainer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
+def oracle_gradients(made: StylizationTrainer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """dL/d(values) through one graph, and deferred: by the picture's own gradient, handed back in parts."""
     everything = np.arange(HEIGHT * WIDTH)
-    values = float64(made.field.color.values).requires_grad_()
+    values = float64(made.scene.field.color.values).requires_grad_()
     whole = oracle_picture(made, view, values, everything)
     (full,) = torch.autograd.grad(oracle_loss(made, view, whole), values)
     cached = whole.detach().requires_grad_()
@@ -111,12 +100,12 @@ def test_deferred_is_full_in_float64():
     assert np.abs(full).max() > 0 and apart(deferred, full) < 1e-12
 
 
-@pytest.mark.parametrize("chunks", [1, 2])
-def test_full_and_deferred_steps_equal_each_other_and_the_oracle(monkeypatch, chunks):
-    full = style_gradient(stylizer(chunks, strategy="full", match="none"))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_full_and_deferred_steps_equal_each_other_and_the_oracle(monkeypatch, threads):
+    full = style_gradient(stylizer(threads, strategy="full", match="none"))
     monkeypatch.setattr(module, "PIXELS_AT_ONCE", 37)  # 252 pixels in seven parts
-    made = stylizer(chunks, strategy="deferred", match="none")
-    view = made._view_of_step()
+    made = stylizer(threads, strategy="deferred", match="none")
+    view = made.method.view_step.view_of_step()
     deferred = style_gradient(made)
     # Only the order of float32 sums differs.
     assert apart(deferred, full) < 1e-6
@@ -128,9 +117,9 @@ def test_full_and_deferred_steps_equal_each_other_and_the_oracle(monkeypatch, ch
 @pytest.mark.parametrize("strategy", ["dilated", "random", "patch"])
 def test_chosen_rays_learn_their_share_of_the_whole_pictures_gradient(strategy):
     made = stylizer(strategy=strategy, match="none", blur=0, dilation=3)
-    view, generator = made._view_of_step(), np.random.default_rng([0, 4, 0])
+    view, generator = made.method.view_step.view_of_step(), np.random.default_rng([0, 4, 0])
     pixels = module.selected_pixels(strategy, HEIGHT, WIDTH, 3, generator)
-    values = float64(made.field.color.values).requires_grad_()
+    values = float64(made.scene.field.color.values).requires_grad_()
     cached = oracle_picture(made, view, values, np.arange(HEIGHT * WIDTH)).detach().requires_grad_()
     (gradient,) = torch.autograd.grad(oracle_loss(made, view, cached), cached)
     chosen = gradient[pixels] * (HEIGHT * WIDTH / len(pixels))
@@ -143,12 +132,12 @@ def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered(strategy)
     """The second visit of a view renders the chosen pixels only; the others are as they were at the first."""
     kept, fresh = (stylizer(strategy=strategy, match="none", remember=r, dilation=3) for r in (True, False))
     pixels = np.arange(0, HEIGHT * WIDTH, 9)
-    before = kept.paint_view(0)
+    before = kept.scene.render(0)
     for made in (kept, fresh):
-        made._picture(0, pixels)
-        made.field.color.values += 0.3
-    now_ = kept.paint_view(0)
-    old, new = kept._picture(0, pixels + 1)[0], fresh._picture(0, pixels + 1)[0]
+        made.method.view_step.image(0, pixels)
+        made.scene.field.color.values += 0.3
+    now_ = kept.scene.render(0)
+    old, new = kept.method.view_step.image(0, pixels + 1)[0], fresh.method.view_step.image(0, pixels + 1)[0]
     assert np.array_equal(new, now_) and np.array_equal(old[pixels + 1], now_[pixels + 1])
     rest = np.setdiff1d(np.arange(HEIGHT * WIDTH), pixels + 1)
     assert np.array_equal(old[rest], before[rest]) and np.abs(old[rest] - now_[rest]).max() > 0.05
@@ -156,27 +145,27 @@ def test_what_is_remembered_stands_in_for_pixels_that_are_not_rendered(strategy)
 
 def test_what_is_remembered_follows_what_dilated_rays_have_learned():
     made = stylizer(strategy="dilated", match="none", dilation=2)
-    before = made.paint_view(0)
-    made._picture(0, module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(0)))
-    made.field.color.values += 0.3
-    now_, chosen = made.paint_view(0), module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(1))
-    seen = made._picture(0, chosen)[0]
+    before = made.scene.render(0)
+    made.method.view_step.image(0, module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(0)))
+    made.scene.field.color.values += 0.3
+    now_, chosen = made.scene.render(0), module.selected_pixels("dilated", HEIGHT, WIDTH, 2, np.random.default_rng(1))
+    seen = made.method.view_step.image(0, chosen)[0]
     assert np.array_equal(seen[chosen], now_[chosen])
     assert np.abs(seen - now_).mean() < 0.2 * np.abs(before - now_).mean()
 
 
 def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
-    made, found = stylizer(match="none", chunks=2), []
-    made.adam.step = lambda rate: found.append(made.adam.gradients.sum(0, dtype=np.float64))
+    made, found = stylizer(match="none", threads=2), []
+    made.scene.adam.step = lambda rate: found.append(made.scene.adam.gradients.sum(0, dtype=np.float64))
     generator = np.random.default_rng([0, 2, 0])
     view = int(generator.integers(3))
-    alpha = made.geometry.alpha(view).ravel()
+    alpha = made.scene.geometry.alpha(view).ravel()
     lit = np.flatnonzero(alpha > 1e-3)
     pixels = lit[generator.integers(0, len(lit), 128)]
-    loss = made.refit_step()
-    values = float64(made.field.color.values).requires_grad_()
+    loss = made.scene.refit_step()["mse"]
+    values = float64(made.scene.field.color.values).requires_grad_()
     rgb = oracle_picture(made, view, values, pixels) + (1 - float64(alpha[pixels])[:, None]) * GRAY
-    expected = (rgb - float64(made.photos[view].reshape(-1, 3)[pixels])).square().mean()
+    expected = (rgb - float64(made.scene.photos[view].reshape(-1, 3)[pixels])).square().mean()
     expected.backward()
     assert loss == pytest.approx(float(expected.detach()), rel=1e-5) and apart(found[0], values.grad.numpy()) < 1e-5
 
@@ -194,7 +183,7 @@ def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
     seen = []
 
     def stop_after(count: int):
-        def on_step(made: ArfTrainer) -> None:
+        def on_step(made: StylizationTrainer) -> None:
             seen.append(made.state.phase)
             if len(seen) == count:
                 raise Stopped
@@ -209,26 +198,26 @@ def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
     state, found = result_of(at)
     assert seen.count("style") == 7 and state == expected and state["phase"] == "done"
     assert_same_bits(found, arrays)
-    assert torch.equal(at.field.color_map.matrix, whole.field.color_map.matrix)
+    assert torch.equal(at.scene.field.color_map.matrix, whole.scene.field.color_map.matrix)
     assert any(name.startswith("seen.") for name in arrays) == (strategy == "dilated")
 
 
 def test_learning_lowers_the_loss_and_leaves_the_density_alone():
     made, losses = stylizer(steps=30, strategy="deferred", match="none", weights=StyleWeights(1, 0, 0, 0)), []
-    before = made.field.density.values.copy()
-    step = made.style_step
-    made.style_step = lambda: losses.append(step()) or losses[-1]
+    before = made.scene.field.density.values.copy()
+    step = made.method.step
+    made.method.step = lambda: losses.append(step()) or losses[-1]
     made.run()
     style = [parts["style"] for parts in losses]
     assert np.mean(style[-3:]) < 0.9 * np.mean(style[:3])
-    assert np.array_equal(made.field.density.values, before)
-    assert made.field.color_map is None and len(made.state.curve) == 3
+    assert np.array_equal(made.scene.field.density.values, before)
+    assert made.scene.field.color_map is None and len(made.state.curve) == 3
 
 
 def test_every_view_is_visited_once_an_epoch():
     made, visits = stylizer(), []
     for made.state.step in range(12):
-        visits.append(made._view_of_step())
+        visits.append(made.method.view_step.view_of_step())
     assert (
         all(sorted(visits[at : at + 3]) == [0, 1, 2] for at in (0, 3, 6, 9))
         and len(set(map(tuple, zip(*[iter(visits)] * 3)))) > 1
@@ -240,38 +229,38 @@ def test_with_a_deformation_shapes_move_and_a_weight_holds_them():
     moved = {}
     for weight in (0.0, 1e3):
         made = stylizer(steps=30, deform=True, match="none", displacement_weight=weight)
-        before, rest = made.field.density.values.copy(), [made.geometry.alpha(v).copy() for v in range(3)]
+        before, rest = made.scene.field.density.values.copy(), [made.scene.geometry.alpha(v).copy() for v in range(3)]
         made.run()
-        assert np.array_equal(made.field.density.values, before)
+        assert np.array_equal(made.scene.field.density.values, before)
         for view in range(3):
-            made.paint_view(view)
-        apart_ = np.mean([np.abs(made.geometry.alpha(v) - rest[v]).mean() for v in range(3)])
-        moved[weight] = apart_, np.abs(made.field.displacement).max()
+            made.scene.render(view)
+        apart_ = np.mean([np.abs(made.scene.geometry.alpha(v) - rest[v]).mean() for v in range(3)])
+        moved[weight] = apart_, np.abs(made.scene.field.displacement).max()
     assert moved[0.0][0] > 1.1 * moved[1e3][0] and moved[0.0][1] > 5 * moved[1e3][1] > 0
 
 
 def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monkeypatch):
     """dL/dD of a whole style step, along a random direction, background behind the silhouette included."""
     monkeypatch.setattr(geometry, "OPAQUE", 0.0)  # a ray that ends a sample earlier is a jump, not a slope
-    made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, share=0.0)
-    made.field.occupancy = OccupancyGrid(made.field.occupancy.cells)
-    made.refit_step()
-    made._next_phase()
-    view, pixels = made._view_of_step(), np.arange(HEIGHT * WIDTH)
+    made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, weight_threshold=0.0)
+    made.scene.field.occupancy = OccupancyGrid(made.scene.field.occupancy.cells)
+    made.scene.refit_step()
+    made.next_phase()
+    view, pixels = made.method.view_step.view_of_step(), np.arange(HEIGHT * WIDTH)
     random = np.random.default_rng(5)
-    direction = random.normal(size=made.field.displacement.shape).astype(np.float32)
+    direction = random.normal(size=made.scene.field.displacement.shape).astype(np.float32)
     for axis in range(3):  # smooth, so that few samples change their cell
         direction = (direction + np.roll(direction, 1, axis) + np.roll(direction, -1, axis)) / 3
-    picture_, _ = made._picture(view, pixels)
-    gradient, _ = made._gradient(view, picture_)
-    _, kept = made.geometry.paint(view, pixels)
-    made.geometry.learn(kept, gradient.reshape(-1, 3), made.adam.gradients)
-    expected = float((made.deformer.gradients.sum(0, dtype=np.float64) * direction.ravel()).sum())
+    picture_, _ = made.method.view_step.image(view, pixels)
+    gradient, _ = made.method.view_step.gradient(view, picture_)
+    _, kept = made.scene.geometry.paint(view, pixels)
+    made.scene.geometry.learn(kept, gradient.reshape(-1, 3), made.scene.adam.gradients)
+    expected = float((made.scene.deformer.gradients.sum(0, dtype=np.float64) * direction.ravel()).sum())
 
     def linear(step: float) -> float:
-        made.field.displacement[:] = step * direction
-        rgb = made.paint_view(view).astype(np.float64)
-        over = rgb + (1 - made.geometry.alpha(view).reshape(-1, 1)) * GRAY
+        made.scene.field.displacement[:] = step * direction
+        rgb = made.scene.render(view).astype(np.float64)
+        over = rgb + (1 - made.scene.geometry.alpha(view).reshape(-1, 1)) * GRAY
         return float((over * gradient.reshape(-1, 3)).sum())
 
     measured = (linear(2e-4) - linear(-2e-4)) / 4e-4
@@ -281,20 +270,21 @@ def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monke
 @pytest.mark.parametrize("match", ["none", "before", "after", "both"])
 def test_colors_are_matched_when_asked_for(match):
     made = stylizer(match=match, steps=3)
-    changed = [not np.array_equal(a, b) for a, b in zip(made.photos, stylizer(match="none").photos)]
+    changed = [not np.array_equal(a, b) for a, b in zip(made.scene.photos, stylizer(match="none").scene.photos)]
     assert all(changed) == (match in ("before", "both"))
     made.run()
-    assert (made.field.color_map is not None) == (match in ("after", "both"))
+    assert (made.scene.field.color_map is not None) == (match in ("after", "both"))
 
 
 def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
     made = stylizer(match="none")
-    made.photos = [np.full_like(p, np.nan) for p in made.photos]
+    made.scene.photos = [np.full_like(p, np.nan) for p in made.scene.photos]
     with pytest.raises(Diverged, match="refit step 0"):
         made.run()
     made = stylizer(match="none")
     run_until(made, 5)
-    made.painting = torch.full_like(made.painting, np.nan)
+    spoiled = torch.full_like(made.scene.problem.style_image, np.nan)
+    made.scene.problem = replace(made.scene.problem, style_image=spoiled)
     with pytest.raises(Diverged, match="style step 0"):
         made.run()
 
@@ -302,42 +292,44 @@ def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
 def test_a_view_that_sees_nothing_is_passed_over():
     made = stylizer(match="none", refit_steps=4)
     away = look_at(np.array([3.0, 0, 0]), np.array([9.0, 0, 0]), np.array([0, 0, 1.0]))
-    made.cameras[:] = [Camera("away", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, away)] * 3
-    made.geometry = geometry.FixedGeometry(made.field, made.cameras, 0.1, 1)
-    before = made.field.color.values.copy()
-    assert made.refit_step() == 0 and np.array_equal(made.field.color.values, before)
-    assert all(np.isfinite(v) for v in made.style_step().values())
+    made.scene.cameras[:] = [Camera("away", WIDTH, HEIGHT, 20.0, 20.0, WIDTH / 2, HEIGHT / 2, away)] * 3
+    made.scene.geometry = geometry.FixedGeometry(made.scene.field, made.scene.cameras, 0.1, 1)
+    before = made.scene.field.color.values.copy()
+    assert made.scene.refit_step()["mse"] == 0 and np.array_equal(made.scene.field.color.values, before)
+    assert all(np.isfinite(v) for v in made.method.step().values())
 
 
 def test_a_view_is_first_remembered_as_it_looked_at_rest():
     """Shapes have moved since; what was there before them is neither walked again nor moved along."""
     made = stylizer(deform=True, strategy="random", match="none", refit_steps=4)
-    made.settings = replace(made.settings, steps=1)
-    rest = made.still.alpha(2).copy()
+    made.scene.settings = replace(made.settings, steps=1)
+    rest = made.scene.fixed.alpha(2).copy()
     while made.state.phase == "refit":
-        made.refit_step()
+        made.scene.refit_step()
         made.state.step += 1
-        if made.progress >= 1:
-            made._next_phase()
-    made.field.displacement += 0.1
-    made.deformer.look()
-    assert np.array_equal(made.geometry.alpha(2), rest)
+        if made.scene.budget.progress >= 1:
+            made.next_phase()
+    made.scene.field.displacement += 0.1
+    made.scene.deformer.look()
+    assert np.array_equal(made.scene.geometry.alpha(2), rest)
     everything, chosen = np.arange(HEIGHT * WIDTH), np.arange(0, HEIGHT * WIDTH, 5)
     others = np.setdiff1d(everything, chosen)
-    still, (moved, _) = made.still.paint(2, everything)[0], made.geometry.paint(2, everything)
-    picture = made._picture(2, chosen)[0]
+    still, (moved, _) = made.scene.fixed.paint(2, everything)[0], made.scene.geometry.paint(2, everything)
+    picture = made.method.view_step.image(2, chosen)[0]
     assert np.array_equal(picture[others], still[others]) and np.array_equal(picture[chosen], moved[chosen])
-    assert np.abs(moved - still).max() > 0.05 and not np.array_equal(made.geometry.alpha(2), rest)
+    assert np.abs(moved - still).max() > 0.05 and not np.array_equal(made.scene.geometry.alpha(2), rest)
 
 
 def test_large_strokes_come_first():
     """The coarse share of the steps takes features at half the size; the photos' are taken anew after it."""
     made, scales, contents = stylizer(steps=4, coarse=0.5, match="none"), [], []
 
-    def look(now: ArfTrainer) -> None:
+    def look(now: StylizationTrainer) -> None:
         if now.state.phase == "style":
-            scales.append(now.objective.scale)
-            contents.append({view: kept.features["conv1"].shape for view, kept in now._content.kept.items()})
+            scales.append(now.method.loss.objective.scale)
+            contents.append(
+                {view: kept.features["conv1"].shape for view, kept in now.method.loss._content.kept.items()}
+            )
 
     made.run(look)
     # Told after a step, the objective is that of the next one.
@@ -347,7 +339,9 @@ def test_large_strokes_come_first():
 
 def test_features_are_taken_around_the_object_alone():
     made = stylizer()
-    assert all(window == (slice(0, HEIGHT), slice(0, WIDTH)) for window in made.windows)  # no room for a margin here
-    made.windows = [(slice(2, 12), slice(4, 16))] * 3
+    assert all(
+        window == (slice(0, HEIGHT), slice(0, WIDTH)) for window in made.method.loss.windows
+    )  # no room for a margin here
+    made.method.loss.windows = [(slice(2, 12), slice(4, 16))] * 3
     made.run()
-    assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made._content.kept.values())
+    assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made.method.loss._content.kept.values())

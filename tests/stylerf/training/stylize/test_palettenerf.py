@@ -1,5 +1,7 @@
 """Learning a scene's palette: what each part of the loss is, when it counts, what it comes to, going on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,15 +15,15 @@ from stylerf.fields.recoloring import Recoloring
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.palettenerf import (
     DecompositionWeights,
-    PaletteNerfTrainer,
+    PaletteNerf,
     _Seen,
     picture_variation,
     roughness,
 )
 from stylerf.training.stylize.settings import StyleSettings
-from tests.stylerf.small import field_of, vm_color
+from stylerf.training.stylize.trainer import StylizationTrainer
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
-from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, VIEWS, WIDTH, camera, stopping
+from tests.stylerf.training.stylizing import GRAY, HEIGHT, VIEWS, WIDTH, problem, stopping
 
 PLAIN = np.array([[0.8, 0.1, 0.1], [0.1, 0.6, 0.2], [0.1, 0.2, 0.8], [0.9, 0.85, 0.3]], np.float32)
 
@@ -36,20 +38,16 @@ def photo(seed: int) -> np.ndarray:
 
 def decomposing(
     seed: int = 0, weights: DecompositionWeights | None = None, raw: float = 1.0, **given
-) -> PaletteNerfTrainer:
+) -> StylizationTrainer:
     """A fog as opaque as `raw` says, seen in three photos."""
-    field = field_of(BOX, 3, vm_color(4))
-    field.density.values[-1] = raw
-    small = {"steps": 12, "refit_steps": 8, "refit_pixels": 128, "share": 0.1, "match": "none", "final_rate": 0.1}
-    settings = StyleSettings(**{**small, **given})
+    small = {"steps": 12, "refit_steps": 8, "refit_pixels": 128, "weight_threshold": 0.1}
+    settings = StyleSettings(**{**small, "match": "none", "final_rate": 0.1, **given})
 
     def new_color(generator, pixel_cells, palette):
         return PaletteColor.create(generator, palette, 8, 40, 512, base=3)
 
-    cameras, photos = [camera(i) for i in range(VIEWS)], [photo(i) for i in range(VIEWS)]
-    return PaletteNerfTrainer(
-        field, cameras, photos, GRAY, settings, weights or DecompositionWeights(), 4, seed, 1, new_color
-    )
+    made = replace(problem(settings, seed, raw=raw, style_image=None), photos=[photo(i) for i in range(VIEWS)])
+    return StylizationTrainer(PaletteNerf.create(made, weights or DecompositionWeights(), 4, new_color))
 
 
 @pytest.mark.parametrize(
@@ -59,7 +57,7 @@ def decomposing(
 def test_parts_count_when_their_time_has_come(step, smooth, guide, drift):
     one = decomposing(steps=12)
     one.state.phase, one.state.step = "style", step
-    scales = one._scales()
+    scales = one.method._scales()
     assert (scales["smooth"], scales["drift"]) == (smooth, drift)
     assert scales["guide"] == pytest.approx(guide, abs=1e-12)
     assert (scales["sparsity"], scales["offset"], scales["view"]) == (2e-3, 0.03, 0.1)
@@ -67,16 +65,18 @@ def test_parts_count_when_their_time_has_come(step, smooth, guide, drift):
 
 def test_parts_of_the_loss_are_those_written_ray_by_ray():
     one, pixels = decomposing(raw=-2.0), np.array([40, 41, 100, 133, 200])
-    seen, wanted = _Seen(one, 1, pixels), photo(1).reshape(-1, 3)[pixels]
+    seen, wanted = _Seen(one.scene, 1, pixels), photo(1).reshape(-1, 3)[pixels]
     with torch.no_grad():
-        found = one._image_losses(seen, wanted, True) | one._palette_losses(seen, np.random.default_rng(0))
-    starts, ends, x, weights = one.still.surface(1).samples(pixels)
+        found = one.method._image_losses(seen, wanted, True) | one.method._palette_losses(
+            seen, np.random.default_rng(0)
+        )
+    starts, ends, x, weights = one.scene.fixed.surface(1).samples(pixels)
     assert (ends - starts).max() > 1
-    p, palette = seen.parts, one.extracted.palette.astype(np.float64)
+    p, palette = seen.parts, one.method.extracted.palette.astype(np.float64)
     d, s, w, o, lit = (v.detach().double().numpy() for v in (p.diffuse, p.specular, p.weights, p.offsets, p.intensity))
     expected = dict.fromkeys(("direct", "mse", "view", "guide", "sparsity", "offset"), 0.0)
     for r, pixel in enumerate(pixels):
-        alpha = float(one.still.alpha(1).ravel()[pixel])
+        alpha = float(one.scene.fixed.alpha(1).ravel()[pixel])
         direct, mixed, mixture = np.zeros(3), np.zeros(3), np.zeros(4)
         for k in range(starts[r], ends[r]):
             direct += weights[k] * (d[k] + s[k])
@@ -88,7 +88,7 @@ def test_parts_of_the_loss_are_those_written_ray_by_ray():
         gap = (1 - alpha) * GRAY - wanted[r]
         expected["direct"] += ((direct + gap) ** 2).sum() / 15
         expected["mse"] += ((mixed + gap) ** 2).sum() / 15
-        expected["guide"] += ((mixture - alpha * one.extracted.weights_of(wanted[r : r + 1])[0]) ** 2).sum() / 20
+        expected["guide"] += ((mixture - alpha * one.method.extracted.weights_of(wanted[r : r + 1])[0]) ** 2).sum() / 20
     for name, value in expected.items():
         assert float(found[name]) == pytest.approx(value, rel=2e-4, abs=1e-7), name
     assert float(found["drift"]) == 0 and x.shape[1] == 3
@@ -120,8 +120,8 @@ def test_the_picture_of_weights_varies_as_that_of_a_local_edit():
 
 def test_the_refit_teaches_the_direct_color_and_the_palette_waits_for_its_release():
     one, palettes = decomposing(steps=12), {}
-    one.run(lambda now: palettes.setdefault((now.state.phase, now.state.step), now.field.color.palette.copy()))
-    first = one.extracted.palette
+    one.run(lambda now: palettes.setdefault((now.state.phase, now.state.step), now.scene.field.color.palette.copy()))
+    first = one.method.extracted.palette
     assert np.array_equal(palettes["refit", 8], first) and np.array_equal(palettes["style", 4], first)
     assert not np.array_equal(palettes["style", 12], first)
 
@@ -132,24 +132,26 @@ def test_a_scene_of_four_colors_is_decomposed_into_them():
     errors = []
     one.run(
         lambda now: (
-            errors.append(now.figures()["psnr"]) if now.state.phase == "style" and now.state.step in (1, 150) else None
+            errors.append(now.method.figures()["psnr"])
+            if now.state.phase == "style" and now.state.step in (1, 150)
+            else None
         )
     )
-    figures = one.figures()
+    figures = one.method.figures()
     assert errors[1] > errors[0] + 3 and figures["psnr"] == errors[1]
     assert figures["colors"] == 4 and sum(figures["shares"]) == pytest.approx(1, abs=1e-3)
     edges = 2 * (HEIGHT + WIDTH) / (HEIGHT * WIDTH)  # palette TV of four quarters of one color each, opaque
     assert 0 <= figures["sparsity"] < 2.5 and 0.3 * edges < figures["palette_variation"] < edges
-    before = render_view(one.field, one.cameras[0], threads=1).rgb
-    one.field.color = one.field.color.edited(Recoloring())
-    np.testing.assert_allclose(render_view(one.field, one.cameras[0], threads=1).rgb, before, atol=1e-5)
+    before = render_view(one.scene.field, one.scene.cameras[0], threads=1).rgb
+    one.scene.field.color = one.scene.field.color.edited(Recoloring())
+    np.testing.assert_allclose(render_view(one.scene.field, one.scene.cameras[0], threads=1).rgb, before, atol=1e-5)
 
 
 def test_shapes_stay_to_the_bit():
     one = decomposing()
-    before = one.field.density.values.copy()
+    before = one.scene.field.density.values.copy()
     one.run()
-    assert np.array_equal(one.field.density.values, before) and one.field.color_map is None
+    assert np.array_equal(one.scene.field.density.values, before) and one.scene.field.color_map is None
 
 
 def test_a_stopped_decomposition_goes_on_to_the_same_bits():

@@ -8,74 +8,80 @@ import torch
 
 from stylerf.style.image_optimization import painted
 from stylerf.style.style_objective import StyleWeights
-from stylerf.training.stylize.snerf import SnerfTrainer
+from stylerf.training.stylize.settings import SnerfSettings
+from stylerf.training.stylize.snerf import Snerf
+from stylerf.training.stylize.trainer import StylizationTrainer
+from tests.stylerf.style.small_trunk import small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
-from tests.stylerf.training.stylizing import GRAY, HEIGHT, VIEWS, WIDTH, made, stopping
+from tests.stylerf.training.stylizing import GRAY, HEIGHT, VIEWS, WIDTH, problem, settings, stopping, trainer
 
 
-def alternating(**more) -> SnerfTrainer:
-    return made(SnerfTrainer, **{"rounds": 2, "image_share": 0.5, "loss": "gram", **more})
+def alternating(**more) -> StylizationTrainer:
+    options = {"rounds": 2, "image_share": 0.5, "loss": "gram", **more}
+    return trainer(lambda scene: Snerf(scene, small_trunk()), problem(settings(SnerfSettings, **options)))
 
 
 def test_turns_follow_the_budget():
     one, pictures = alternating(steps=12, match="none"), []
     one.run(lambda now: pictures.append(now.state.counts.get("pictures", 0)))
     assert pictures == [0] * 8 + [1, 2, 3, 3, 3, 3, 4, 5, 6, 6, 6, 6]  # after a refit of eight steps
-    assert sorted(one.targets) == list(range(VIEWS))
+    assert sorted(one.method.images) == list(range(VIEWS))
 
 
 def test_views_take_turns_across_rounds_and_the_field_learns_from_the_first_on():
     one, seen = alternating(steps=8, rounds=4, image_share=0.5, match="none"), []
-    one.run(lambda now: seen.append(len(now.targets)) if now.state.phase == "style" else None)
+    one.run(lambda now: seen.append(len(now.method.images)) if now.state.phase == "style" else None)
     assert seen == [1, 1, 2, 2, 3, 3, 3, 3]
 
 
 def test_a_picture_that_takes_long_ends_with_the_pictures_turn():
     """In a budget of time the field has its turn even where a single picture would take all of it."""
     one = alternating(steps=0, match="none", image_steps=10**6, refit_steps=1)
-    one.settings = replace(one.settings, seconds=2.0)
+    one.scene.settings = replace(one.settings, seconds=2.0)
     kinds = []
-    one._step = lambda step=one._step: kinds.append(one.paints) or step()
+    one.method.step = lambda step=one.method.step: kinds.append(one.method.optimizes_images) or step()
     one.run()
     assert True in kinds and False in kinds and one.state.seconds < 6.0
     one.state.phase, one.state.seconds = "style", 0.7
-    assert one.left_of_turn == pytest.approx(-0.2) and not one.paints
+    assert one.method.seconds_left_for_images == pytest.approx(-0.2) and not one.method.optimizes_images
     one.state.seconds = 1.2
-    assert one.left_of_turn == pytest.approx(0.3) and one.paints
+    assert one.method.seconds_left_for_images == pytest.approx(0.3) and one.method.optimizes_images
 
 
 def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
     one = alternating(match="none")
     one.state.phase = "style"
-    parts = one.picture_step()
-    (view,) = one.targets
-    alpha = one.geometry.alpha(view)
-    rgb = one.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
-    content, coverage = one._content_of(view), torch.from_numpy(alpha)
+    parts = one.method.image_step()
+    (view,) = one.method.images
+    alpha = one.scene.geometry.alpha(view)
+    rgb = one.scene.render(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
+    content, coverage = one.method.loss.content(view), torch.from_numpy(alpha)
     expected, again = painted(
         torch.from_numpy(rgb).permute(2, 0, 1).contiguous(), coverage, GRAY,
-        lambda p: one.objective(p, content, coverage, one.windows[view]), 5, 0.03,
+        lambda p: one.method.loss.objective(p, content, coverage, one.method.loss.windows[view]), 5, 0.03,
     )  # fmt: skip
-    assert np.abs(one.targets[view] / 255 - expected).max() <= 0.5 / 255 + 1e-6 and parts == again
+    assert np.abs(one.method.images[view] / 255 - expected).max() <= 0.5 / 255 + 1e-6 and parts == again
     assert np.abs(expected - rgb).max() > 0.05
 
 
 def test_in_one_turn_a_picture_is_painted_on_and_in_the_next_anew():
     """What is rendered does not change while pictures are painted: begun from it again, a visit would be the last."""
     one = alternating(match="none", steps=0)
-    one.settings = replace(one.settings, seconds=100.0)
+    one.scene.settings = replace(one.settings, seconds=100.0)
     one.state.phase = "style"
-    losses = [one.picture_step() for _ in range(3 * VIEWS)]
+    losses = [one.method.image_step() for _ in range(3 * VIEWS)]
     first, second, third = (sum(one["style"] for one in losses[at : at + VIEWS]) for at in range(0, 3 * VIEWS, VIEWS))
     assert third < second < first
-    begun, other = one.targets[0].copy(), alternating(match="none")
+    begun, other = one.method.images[0].copy(), alternating(match="none")
     one.state.seconds = 50.0  # the second round
     for _ in range(VIEWS):
-        one.picture_step()
+        one.method.image_step()
     other.state.phase = "style"
     for _ in range(VIEWS):
-        other.picture_step()
-    assert np.array_equal(one.targets[0], other.targets[0]) and not np.array_equal(one.targets[0], begun)
+        other.method.image_step()
+    assert np.array_equal(one.method.images[0], other.method.images[0]) and not np.array_equal(
+        one.method.images[0], begun
+    )
 
 
 def test_of_few_steps_the_field_has_half():
@@ -91,14 +97,14 @@ def test_of_few_steps_the_field_has_half():
 def test_a_step_of_the_field_is_that_of_the_mean_squared_error():
     one, found = alternating(match="none"), []
     one.state.phase, one.state.step = "style", 3
-    one.targets = {1: np.full((HEIGHT, WIDTH, 3), 51, np.uint8)}
-    one.adam.step = lambda rate: found.append(one.adam.gradients.sum(0, dtype=np.float64))
-    error = one.field_step()["mse"]
+    one.method.images = {1: np.full((HEIGHT, WIDTH, 3), 51, np.uint8)}
+    one.scene.adam.step = lambda rate: found.append(one.scene.adam.gradients.sum(0, dtype=np.float64))
+    error = one.method.field_step()["mse"]
     other = alternating(match="none")
-    other.photos = [None, np.full((HEIGHT, WIDTH, 3), 0.2, np.float32)]
-    expected = other._learn_image(1, other.photos[1], _after_a_draw(0, 5, 3))
+    other.scene.photos = [None, np.full((HEIGHT, WIDTH, 3), 0.2, np.float32)]
+    expected = other.scene.learn_image(1, other.scene.photos[1], _after_a_draw(0, 5, 3))
     assert error == pytest.approx(expected, rel=1e-6)
-    np.testing.assert_array_equal(found[0], other.adam.gradients.sum(0, dtype=np.float64))
+    np.testing.assert_array_equal(found[0], other.scene.adam.gradients.sum(0, dtype=np.float64))
 
 
 def _after_a_draw(seed: int, stream: int, step: int) -> np.random.Generator:
@@ -113,19 +119,22 @@ def test_alternation_lowers_both_distances():
                       weights=StyleWeights(1, 0, 0, 0))  # fmt: skip
     styles, gaps = [], []
 
-    def seen(now: SnerfTrainer, view: int) -> np.ndarray:
-        alpha = now.geometry.alpha(view)
-        return now.paint_view(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
+    def seen(now: StylizationTrainer, view: int) -> np.ndarray:
+        alpha = now.scene.geometry.alpha(view)
+        return now.scene.render(view).reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
 
-    def look(now: SnerfTrainer) -> None:
+    def look(now: StylizationTrainer) -> None:
         if now.state.phase != "style":
             return
         if now.state.step in (1, 20, 40, 60):
             rendered = [(torch.from_numpy(seen(now, v)).permute(2, 0, 1).contiguous(), v) for v in range(VIEWS)]
-            parts = [now.objective(p, None, torch.from_numpy(now.geometry.alpha(v)))[1] for p, v in rendered]
+            parts = [
+                now.method.loss.objective(p, None, torch.from_numpy(now.scene.geometry.alpha(v)))[1]
+                for p, v in rendered
+            ]
             styles.append(np.mean([part["style"] for part in parts]))
         if now.state.step in (6, 20):  # the field's first turn begins and ends
-            gaps.append(np.mean([np.square(seen(now, v) - t / 255.0).mean() for v, t in now.targets.items()]))
+            gaps.append(np.mean([np.square(seen(now, v) - t / 255.0).mean() for v, t in now.method.images.items()]))
 
     one.run(look)
     assert styles[-1] < 0.7 * styles[0] and styles[1] < styles[0]
@@ -146,4 +155,4 @@ def test_a_stopped_alternation_goes_on_to_the_same_bits():
     assert state == expected and state["phase"] == "done" and state["counts"] == {"pictures": 6}
     assert_same_bits(found, arrays)
     assert sum(name.startswith("target.") for name in arrays) == VIEWS
-    assert torch.equal(at.field.color_map.matrix, whole.field.color_map.matrix)
+    assert torch.equal(at.scene.field.color_map.matrix, whole.scene.field.color_map.matrix)

@@ -1,0 +1,99 @@
+"""The one place that picks the CPU's or a GPU's half of each training.
+
+`device` is a torch device for the GPU kernels; None picks the CPU's. The trainers take what is picked here as an
+argument, the CPU's by default. A GPU's half is imported when it is picked, since it needs Triton.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Union
+
+import numpy as np
+import torch
+
+from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.training.stylize.scene import CPU, StyleBackend
+
+if TYPE_CHECKING:
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
+
+Device = str | torch.device | None
+
+
+def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable:
+    """Makes the engine of a fit; see Fitter. samples: density samples per step that the fit aims at."""
+    if device is None:
+        from stylerf.training.fit.engine import CpuEngine
+
+        return functools.partial(CpuEngine, gradient_clip=gradient_clip)
+    from stylerf.training.fit.engine_gpu import GpuEngine
+
+    return functools.partial(GpuEngine, device=device, samples=samples, gradient_clip=gradient_clip)
+
+
+def edit_engine(device: Device) -> Callable:
+    """Makes the engine of a local edit; see EditTrainer."""
+    if device is None:
+        from stylerf.training.edit.engine import CpuEditEngine
+
+        return CpuEditEngine
+    from stylerf.training.edit.engine_gpu import GpuEditEngine
+
+    return functools.partial(GpuEditEngine, device=device)
+
+
+def palette_module(device: Device, module: PaletteModule) -> Union[PaletteModule, "GpuPaletteModule"]:
+    """A trained palette module, to be evaluated on the device."""
+    if device is None:
+        return module
+    from stylerf.editing.palette_module_gpu import GpuPaletteModule
+
+    return GpuPaletteModule(module, device)
+
+
+def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None:
+    """Finds the ends of a view's rays on a GPU; None: by seen_of_view's own kernels."""
+    if device is None:
+        return None
+    from stylerf.editing.extraction_gpu import GpuRayEnds
+
+    return GpuRayEnds(field, device)
+
+
+def finetune_engine(device: Device) -> Callable:
+    """Makes the engine of a fine-tuning; see FineTuner."""
+    if device is None:
+        from stylerf.training.finetune.engine import CpuFineTuneEngine
+
+        return CpuFineTuneEngine
+    from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
+
+    return functools.partial(GpuFineTuneEngine, device=device)
+
+
+def deform_backend(device: Device) -> tuple[Callable, Callable]:
+    """Makes the deformer and the photo error of a deformation; see DeformationFitter."""
+    if device is None:
+        from stylerf.training.deform.deformer import Deformer
+        from stylerf.training.deform.photo_error import PhotoError
+
+        return Deformer, PhotoError
+    from stylerf.training.deform.deformer_gpu import GpuDeformer, GpuPhotoError
+
+    return functools.partial(GpuDeformer, device=torch.device(device)), GpuPhotoError
+
+
+def style_backend(device: Device) -> StyleBackend:
+    """Makes the deformer and the geometries of a stylization; see StyledScene."""
+    if device is None:
+        return CPU
+    from stylerf.training.deform.deformer_gpu import GpuDeformer
+    from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry, GpuMovingGeometry
+
+    return StyleBackend(
+        functools.partial(GpuDeformer, device=torch.device(device)),
+        functools.partial(GpuFixedGeometry, device=device),
+        GpuMovingGeometry,
+    )

@@ -1,0 +1,310 @@
+"""The scene that a method stylizes: its density stays, a new color learns, and perhaps a deformation.
+
+StyleProblem holds what is given; StyledScene holds what changes. Methods render its views and add gradients to it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
+from stylerf.fields.deformation import Deformation
+from stylerf.fields.displacement_grid import at_rest
+from stylerf.fields.packed_surface import pixel_cells
+from stylerf.fields.protocol import ColorPart
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.regions import weights_inside
+from stylerf.rendering.ray_registration import SOLID
+from stylerf.style.color_matching import match_colors, spread_at_least, spread_at_most, strokes_in
+from stylerf.training.common.adam import Adam
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.deform.deformer import Deformer
+from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
+from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
+from stylerf.training.stylize.settings import StyleSettings, StyleState
+
+PIXELS_AT_ONCE = 65536
+MATCHED_VIEWS = 24  # views whose colors stand for those of all
+MEMORY = 8e9  # bytes
+# Fractions of the memory. A march takes seconds to repeat, features about as long, a photo a tenth of that.
+SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
+REGION_MASKS = 0.05  # beyond these
+COARSEST_STEP = 1 / 128  # cube units; of a deforming field, whose rays are marched again in every step
+
+
+@dataclass(frozen=True)
+class StyleBackend:
+    """Makes what differs between CPU and GPU (training/backends.py picks one)."""
+
+    deformer: Callable[..., Deformer]
+    fixed_geometry: Callable[..., FixedGeometry]
+    moving_geometry: Callable[..., MovingGeometry]
+
+
+CPU = StyleBackend(Deformer, FixedGeometry, MovingGeometry)
+
+
+@dataclass(frozen=True, eq=False)
+class StyleProblem:
+    """What a stylization is given.
+
+    Attributes:
+        field: The fitted field, whose density stays.
+        cameras, photos: Training views: [h, w, 3] float32 sRGB 0..1 over the background; read again where not cached.
+        background: Gray level behind the field.
+        style_image: [3, h, w] sRGB 0..1; None if the method has none.
+        deformation: Network that moves the shapes too (DeSRF); None: they stay.
+        region: Cells [s, s, s] of the cube; only this part of the scene is shown, matched and stylized, and new_color
+            gives colors over the scene's own.
+        memory: Bytes that surfaces, features and photos may take; what does not fit is recomputed at each use. On a
+            GPU, what is free there bounds it.
+        backend: Where rays are marched.
+    """
+
+    field: RadianceField
+    cameras: list[Camera]
+    photos: Sequence[np.ndarray]
+    background: float
+    settings: StyleSettings
+    seed: int
+    threads: int
+    style_image: Tensor | None = None
+    deformation: Deformation | None = None
+    region: np.ndarray | None = None
+    memory: float = MEMORY
+    backend: StyleBackend = CPU
+
+
+class PhaseBudget:
+    """How far the present phase is."""
+
+    def __init__(self, scene: "StyledScene") -> None:
+        self.scene = scene
+
+    @property
+    def steps(self) -> int:
+        """Steps of the present phase; 0 if time limits it."""
+        settings = self.scene.settings
+        return settings.refit_steps if self.scene.state.phase == "refit" else settings.steps
+
+    @property
+    def progress(self) -> float:
+        """Fraction of the present phase that is done, 0..1."""
+        s, state = self.scene.settings, self.scene.state
+        if state.phase == "refit":
+            return min(1.0, state.step / max(1, s.refit_steps))
+        return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
+
+
+class StyledScene:
+    """Renders views in the new color and collects gradients of it.
+
+    Args:
+        new_color: Makes the color to learn, from a generator and this scene, whose surfaces are known by then.
+
+    Attributes:
+        field: The field with its new color.
+        fixed: Its surfaces before anything moved.
+        geometry: What is rendered: `fixed`, or the deforming field after start_moving().
+        shown: Views that show something to stylize.
+        photos: The views' photos, in the style image's colors if settings.match says so.
+        style_colors: Image whose colors are matched; None without a style image.
+
+    Raises:
+        InvalidValue: No view shows anything of the region.
+    """
+
+    def __init__(
+        self, problem: StyleProblem, new_color: Callable[[np.random.Generator, "StyledScene"], ColorPart]
+    ) -> None:
+        self.problem, self.cameras, self.background = problem, problem.cameras, np.float32(problem.background)
+        self.state, self.settings, self.style_colors = StyleState(), problem.settings, problem.style_image
+        min_spread = self.settings.min_spread
+        if problem.style_image is not None:
+            self.settings = self.settings.for_style(strokes_in(problem.style_image, min_spread))
+            self.style_colors = spread_at_least(problem.style_image, min_spread)
+        threshold = problem.field.weight_threshold if self.of_region else self.settings.weight_threshold
+        self.field = replace(problem.field, color_map=None, weight_threshold=threshold)
+        self.deformer = self._new_deformer()
+        self.fixed = self._fixed_geometry()
+        self.geometry: FixedGeometry | MovingGeometry = self.fixed
+        views, memory = len(self.cameras), problem.memory
+        self._region_masks = BoundedCache(self._region_mask, lambda mask: mask.nbytes, views, REGION_MASKS * memory)
+        self.shown = [v for v in range(views) if not self.of_region or (self._region_masks[v] > SOLID).any()]
+        if not self.shown:
+            raise InvalidValue("no training view shows anything of the region")
+        self.field.color = new_color(np.random.default_rng([problem.seed, 1]), self)
+        self.fixed.field.color = self.field.color
+        self.adam = self.new_adam()
+        self.photos = BoundedCache(self._matched(problem.photos), lambda p: p.nbytes, views, PHOTOS * memory)
+        self.budget = PhaseBudget(self)
+
+    def _new_deformer(self) -> Deformer | None:
+        p = self.problem
+        if p.deformation is None:
+            return None
+        at_rest(self.field)  # at the step that its densities were fitted with
+        # A march costs by its samples, and its step cannot change later: colors are learned where it samples them.
+        self.field.step = max(self.field.step, COARSEST_STEP)
+        vertices, clip = self.settings.displacement_vertices, self.settings.gradient_clip
+        return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip)
+
+    def _fixed_geometry(self) -> FixedGeometry:
+        # The shapes as they are now; the color goes on learning.
+        moved, p = self.field.displacement, self.problem
+        still = replace(self.field, displacement=None if moved is None else moved.copy())
+        threshold = self.settings.weight_threshold
+        return p.backend.fixed_geometry(still, p.cameras, threshold, p.threads, SURFACES * p.memory)
+
+    def new_adam(self) -> Adam:
+        """An optimizer of the present colors, its moments at zero."""
+        return self.fixed.new_adam(self.settings.gradient_clip)
+
+    def collect(self) -> None:
+        """Copy what a GPU has learned into the field's own arrays."""
+        self.fixed.collect()
+        if self.deformer is not None:
+            self.deformer.collect()
+
+    def start_moving(self) -> None:
+        """From now on, render the deforming field; without a deformation, nothing changes."""
+        if self.deformer is not None:
+            p, threshold = self.problem, self.settings.weight_threshold
+            self.geometry = p.backend.moving_geometry(
+                self.field, p.cameras, threshold, p.threads, float(self.background), self.deformer, self.fixed
+            )
+
+    # -- views ------------------------------------------------------------------------------------------------------
+
+    def pixel_cells(self) -> float:
+        """Cells per side of the cube that are as wide as a pixel: median of four views, nan if nothing is seen."""
+        chosen = np.unique(np.linspace(0, len(self.cameras) - 1, 4).round().astype(int))
+        return pixel_cells(self.fixed.surface(view) for view in chosen)
+
+    @property
+    def of_region(self) -> bool:
+        """Whether only a region is stylized."""
+        return self.problem.region is not None
+
+    @property
+    def fills_views(self) -> bool:
+        """Whether every pixel of every view counts: a whole capture, whose background is opaque."""
+        return self.field.opaque_background and not self.of_region
+
+    def coverage(self, view: int) -> np.ndarray:
+        """How much of each pixel is object, or belongs to the region, [h, w] in 0..1."""
+        return self._region_masks[view] if self.of_region else self.geometry.alpha(view)
+
+    def _region_mask(self, view: int) -> np.ndarray:
+        points = self.fixed.surface(view).samples(np.arange(self.fixed.alpha(view).size))
+        part, region = np.zeros(len(points.ends), np.float32), self.problem.region
+        cells = np.ascontiguousarray(region).reshape(-1)
+        weights_inside(cells, len(region), points, self.problem.threads, part)
+        return np.clip(part, 0, 1).reshape(self.fixed.alpha(view).shape)
+
+    def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
+        """Reads a photo, in the style image's colors if it is matched before; sets style_colors."""
+        s, p = self.settings, self.problem
+        if s.match == "none":
+            return photos.__getitem__
+
+        def alpha(view: int) -> np.ndarray:
+            if self.fills_views:
+                return np.ones((self.cameras[view].height, self.cameras[view].width), np.float32)
+            return self._region_masks[view] if self.of_region else self.fixed.alpha(view)
+
+        of_object = ObjectPhotos(photos, alpha, None if self.of_region else self.background)
+        pixels = sum(camera.width * camera.height for camera in self.cameras)
+        colors, weights = of_object.colors(p.seed, pixels)
+        # Both matches aim at these colors: two bounds, one after the other, would allow their product.
+        self.style_colors = spread_at_most(self.style_colors, colors, s.max_gain, weights)
+        if s.match == "after":
+            return photos.__getitem__
+        color_map = match_colors(colors, self.style_colors.flatten(1).T, weights)
+        return lambda view: of_object.mapped(view, color_map)
+
+    def render(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
+        """Premultiplied rgb of a view, [h*w, 3], with bounded memory; of `geometry` if given."""
+        geometry = geometry or self.geometry
+        count = self.cameras[view].width * self.cameras[view].height
+        parts = [np.arange(at, min(at + PIXELS_AT_ONCE, count)) for at in range(0, count, PIXELS_AT_ONCE)]
+        return np.concatenate([geometry.paint(view, part)[0] for part in parts])
+
+    def render_over(self, view: int) -> np.ndarray:
+        """A view over the background, [h, w, 3]."""
+        alpha = self.geometry.alpha(view)
+        rgb = self.render(view).reshape(*alpha.shape, 3)
+        return rgb + (1 - alpha[..., None]) * self.background
+
+    def match_renders(self) -> ColorMap:
+        """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
+        count = len(self.cameras)
+        chosen = np.unique(np.linspace(0, count - 1, min(count, MATCHED_VIEWS)).round().astype(int))
+        images = (
+            (self.render(view).reshape(*self.geometry.alpha(view).shape, 3), self.geometry.alpha(view))
+            for view in chosen
+        )
+        return rendered_match(images, self.style_colors, self.problem.seed)
+
+    # -- learning ---------------------------------------------------------------------------------------------------
+
+    def refit_step(self) -> dict[str, float]:
+        """Take one step of the color towards the photos; its mean squared error."""
+        generator = np.random.default_rng([self.problem.seed, 2, self.state.step])
+        view = self.shown[int(generator.integers(len(self.shown)))]
+        error = self.learn_image(view, self.photos[view], generator)
+        if error is None:
+            return {"mse": 0.0}
+        self.adam.step(self.settings.refit_rate * 0.1**self.budget.progress)
+        return {"mse": error}
+
+    def learn_image(
+        self, view: int, image: np.ndarray, generator: np.random.Generator, weight: float = 1.0
+    ) -> float | None:
+        """Add the gradient of `weight` times the mean squared error to an image [h, w, 3] of a view.
+
+        Over `refit_pixels` random pixels of those that count. Returns the error; None if no pixel counts.
+        """
+        lit = np.flatnonzero(self.coverage(view).ravel() > 1e-3)
+        if len(lit) == 0:
+            return None
+        pixels = lit[generator.integers(0, len(lit), self.settings.refit_pixels)]
+        return self.learn_pixels(view, pixels, image.reshape(-1, 3)[pixels], weight)
+
+    def learn_pixels(self, view: int, pixels: np.ndarray, target: np.ndarray, weight: float = 1.0) -> float:
+        """Add the gradient of the mean squared error of pixels [n] to colors [n, 3] over the background."""
+        rgb, record = self.geometry.paint(view, pixels)
+        alpha = self.geometry.alpha(view).ravel()[pixels, None]
+        difference = rgb + (1 - alpha) * self.background - target
+        self.geometry.learn(record, difference * np.float32(2 * weight / difference.size), self.adam.gradients)
+        return float(np.square(difference).mean())
+
+    # -- checkpoints ------------------------------------------------------------------------------------------------
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Arrays of a checkpoint."""
+        self.collect()
+        arrays = {"color": self.field.color.values.copy()}
+        arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
+        if self.deformer is not None:
+            arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
+            if self.state.phase != "refit":
+                arrays |= {f"alpha.{view}": alpha for view, alpha in self.geometry.alphas.items()}
+        return arrays
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None:
+        """From arrays(); the state is set."""
+        self.field.color.values[:] = arrays["color"]
+        self.adam = self.new_adam()
+        self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
+        if self.deformer is None:
+            return
+        if self.state.phase != "refit":
+            self.start_moving()
+        self.deformer.restore({k[7:]: v for k, v in arrays.items() if k.startswith("deform.")})
+        if self.state.phase != "refit":
+            self.geometry.alphas = {int(k[6:]): v.copy() for k, v in arrays.items() if k.startswith("alpha.")}
