@@ -20,7 +20,7 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
     from stages.comparison.cost_charts import comparison_charts
     from stages.comparison.page import FAMILIES, build_page, rows_of
     from stages.comparison.pareto_fronts import disagreements, on_fronts
-    from stages.comparison.runs import CHARTED, on_other_threads, runs_of
+    from stages.comparison.runs import CHARTED, runs_of, thread_mismatches
     from stages.evaluation.metrics import write_csv
 
     with sweeping((out, out / "charts")):
@@ -31,7 +31,7 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
         fronts: dict[str, list[str]] = {}
         for family in FAMILIES:
             members = [one for one in runs if one.family == family]
-            gaps += on_other_threads(members)
+            gaps += thread_mismatches(members)
             gaps += disagreements(members, list(CHARTED[family]))
             fronts |= on_fronts(members, list(CHARTED[family]))
         charts = comparison_charts(runs)

@@ -39,7 +39,7 @@ def evaluated(
     from stages import evaluate
     from stages.artifacts.provenance import field_unstylized, is_stylized
     from stages.evaluation.pinned_inputs import pinned
-    from stages.evaluation.reference_metrics import checked
+    from stages.evaluation.reference_metrics import check_references
     from stages.evaluation.test_views import SceneViews
 
     if against.path in OWN_VIEWS:
@@ -53,7 +53,7 @@ def evaluated(
         raise UsageError(f"--reference and --robust-to need a stylized field; {field.name} is not one")
     scene = scene_of(runner.work, field)
     if config.reference:
-        checked(config.reference, SceneViews(scene))
+        check_references(config.reference, SceneViews(scene))
     referenced = field_named(runner, against.robust_to) if against.robust_to else None
     base, regions = _edit_compared(runner, field, config, against)
     runner.say(f"measuring field {field.name}")
@@ -69,7 +69,7 @@ def evaluated(
     if is_stylized(field) and (unstylized := field_unstylized(field)) is not None:
         inputs["base_frames"] = frames_along(runner, unstylized, "test")
     if referenced is not None:
-        inputs["twin_frames"] = frames_along(runner, referenced, "test")
+        inputs["reference_frames"] = frames_along(runner, referenced, "test")
     if base is not None:
         inputs |= _edit_inputs(runner, field, base, regions, config.train_views)
     return runner.run(evaluate.SPEC, evaluate.run, inputs, config, field.name, request)

@@ -52,7 +52,7 @@ def build_page(
         limits=criteria,
         conditions={"work": ""} | conditions,
         settings=", ".join(f"{key} {value}" for key, value in conditions.items() if value != ""),
-        faults=[{"what": fault.name, "why": fault.told} for fault in FAULTS.values()],
+        faults=[{"what": fault.name, "why": fault.description} for fault in FAULTS.values()],
         missing=[{"what": what, "why": why} for what, why in missing],
     )
 

@@ -70,7 +70,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     return session.emit(result, lines)
 
 
-def _metric_line(metric: dict, width: int) -> str:
+def _metric_line(metric: dict[str, Any], width: int) -> str:
     unit = "" if metric["unit"] == "fraction" else metric["unit"]
     value = f"{metric['mean']:.{metric['digits']}f} {unit}".rstrip()
     references = "".join(f"; {name}: {mean:.{metric['digits']}f}" for name, mean in metric["reference"].items())
