@@ -325,7 +325,7 @@ def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_match
     assert "--match both maps every pixel" in told
     told = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
                    "refnpr")  # fmt: skip
-    assert "--of ball: region ball was selected in field fit; select it anew" in told
+    assert "--of ball: region ball was selected in field fit; select it again" in told
     for method in (("--method", "arf"), ("--method=palettenerf",)):
         told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, *method)
         assert "stylizes whole scenes; with --region, use --method refnpr" in told
