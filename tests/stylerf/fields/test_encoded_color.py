@@ -64,7 +64,7 @@ def test_points_without_weight_get_no_color(made):
 def test_a_grown_color_is_the_same_color_and_a_restored_one_the_same_bits(made):
     s, basis, kind = samples(5), basis_of(samples(5), 1), made.features.kind
     if kind == "voxel":
-        s.x *= np.float32(OCCUPIED)
+        s.x[:] *= np.float32(OCCUPIED)
     at = owned(s)
     before = made.colors(s.shading_points(), basis, 1)[at]
     grown = made.grown(LARGER[kind], np.random.default_rng(0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.fields.marching import displacement_arrays, occupancy_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.deformation import displaced_cells
@@ -197,7 +198,7 @@ def test_rays_without_samples_teach_the_grid_nothing(device):
 
     field = field_of(SPACES["box"], 3, hash_color(5), 1 / 8, displacement_grid(6))
     rays, made = rays_into(SPACES["box"], 5, 4), GpuField(field, device)
-    rays.directions *= -1
+    rays.directions[:] *= -1
     for room in (None, 40):
         rendered = made.render_rays(device_rays(rays, device), room=room)
         to = torch.full((375,), 0.5, device=device)
@@ -212,7 +213,7 @@ def test_cells_are_occupied_where_the_cpu_finds_them(reach, device):
     cells, moved, occupancy = 7, displacement_grid(2, cells=4, reach=reach), OccupancyGrid(7)
     occupancy.set_occupied(np.random.default_rng(3).random(cells**3) < 0.03)
     expected = np.zeros(cells**3, np.bool_)
-    displaced_cells(occupancy.distances, cells, cells, moved.reshape(-1), 4, expected)
+    displaced_cells(occupancy_arrays(occupancy), displacement_arrays(moved), cells, expected)
     distances, grid = (torch.from_numpy(a).to(device) for a in (occupancy.distances, moved.reshape(-1)))
     found = launch_deform.displaced_cells(distances, cells, cells, grid, 4)
     assert np.array_equal(found.cpu().numpy().ravel(), expected) and 0 < expected.sum() < cells**3
