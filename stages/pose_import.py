@@ -211,7 +211,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
         layout = replace(layout, reason=f"{layout.reason}; nearest depth from {known}")
         similarity = scene_normalization.facing(poses, near)
     else:
-        similarity = scene_normalization.centerd(poses)
+        similarity = scene_normalization.centered(poses)
     cameras = [
         replace(camera, world_from_camera=scene_normalization.moved(one.pose, similarity))
         for one, camera in zip(photos, plain, strict=True)

@@ -1,13 +1,13 @@
-"""Faults of the mathematics; a stage turns them into a line for the user."""
+"""Errors of the mathematics, which stages translate into one-line messages."""
 
 
 class InvalidValue(ValueError):
-    """An argument outside what a formula admits: a non-rotation, a zero focal length, a NaN."""
+    """An argument outside a formula's domain: a matrix that is no rotation, a zero focal length, a NaN."""
 
 
 class Diverged(RuntimeError):
-    """An optimization left the finite numbers and could not be brought back."""
+    """An optimization diverged to NaN or infinity, and rollbacks did not help."""
 
 
 class ProcessLost(RuntimeError):
-    """Another of the processes that train together has ended; its own words where it left any."""
+    """Another process of a distributed run has ended; holds its own message if it left one."""

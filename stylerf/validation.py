@@ -1,6 +1,6 @@
-"""Numbers that come from a file: checked here before anything is computed, allocated or indexed by them.
+"""Checks of numbers read from files, before anything is computed, allocated or indexed with them.
 
-Each function raises InvalidValue saying what was expected and what was found.
+Every function raises InvalidValue, which says what was expected and what was found.
 """
 
 import math
@@ -11,37 +11,37 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 
-LARGEST = 1e9  # of lengths in scene units, pixels and factors: float32 can still multiply a few of them
-LEARNED = 1e6  # of what is learned: products over the layers of a network stay finite; none trained was over 1e4
-_AT_ONCE = 1 << 20  # floats that are looked at together: they stay in the processor's cache
+LARGEST = 1e9  # scene units, pixels, factors: products of a few of these still fit float32
+LEARNED = 1e6  # trained values: products over a network's layers stay finite; none seen exceeds 1e4
+_AT_ONCE = 1 << 20  # floats checked together, so that they stay in the processor's cache
 
 
-def table(value: Any, what: str) -> dict:
-    """`value`, where it is an object of JSON."""
+def table(value: Any, what: str) -> Mapping[str, Any]:
+    """Return `value` if it is a JSON object."""
     if not isinstance(value, Mapping):
         raise InvalidValue(f"{what} is {_shown(value)}, expected an object")
     return value
 
 
 def text(value: Any, what: str) -> str:
-    """`value`, where it is a text."""
+    """Return `value` if it is a string."""
     if not isinstance(value, str):
-        raise InvalidValue(f"{what} holds {_shown(value)}, expected a text")
+        raise InvalidValue(f"{what} holds {_shown(value)}, expected a string")
     return value
 
 
 def entry(data: Any, key: str, kind: type = object) -> Any:
-    """data[key], where `data` is an object of JSON and what it holds there is a `kind`."""
+    """Return data[key] if `data` is a JSON object with a `kind` there."""
     if key not in table(data, f"what should hold {key}"):
         raise InvalidValue(f"{key} is missing")
     if not isinstance(data[key], kind):
-        words = {dict: "an object", list: "a list", str: "a text"}
+        words: dict[type, str] = {dict: "an object", list: "a list", str: "a string"}
         raise InvalidValue(f"{key} is {_shown(data[key])}, expected {words[kind]}")
     return data[key]
 
 
 def one_of(data: Any, key: str, allowed: Collection[str]) -> str:
-    """data[key], where it is one of a few words."""
+    """Return data[key] if it is one of the `allowed` strings."""
     value = entry(data, key)
     if not isinstance(value, str) or value not in allowed:
         raise InvalidValue(f"{key} is {_shown(value)}, expected one of {', '.join(sorted(allowed))}")
@@ -49,27 +49,27 @@ def one_of(data: Any, key: str, allowed: Collection[str]) -> str:
 
 
 def integer(data: Any, key: str, low: int, high: int) -> int:
-    """data[key], where it is a whole number from low to high; true and false are none."""
+    """Return data[key] if it is an integer, and not a bool, from low to high."""
     return _integer(entry(data, key), key, low, high)
 
 
 def integers(data: Any, key: str, count: int, low: int, high: int) -> list[int]:
-    """data[key], where it is a list of `count` whole numbers from low to high."""
+    """Return data[key] if it is a list of `count` integers from low to high."""
     return [_integer(value, key, low, high) for value in _list(entry(data, key), key, count)]
 
 
 def number(data: Any, key: str, low: float = -LARGEST, high: float = LARGEST) -> float:
-    """data[key], where it is a finite number from low to high."""
+    """Return data[key] if it is a finite number from low to high."""
     return _number(entry(data, key), key, low, high)
 
 
 def numbers(data: Any, key: str, count: int, low: float = -LARGEST, high: float = LARGEST) -> list[float]:
-    """data[key], where it is a list of `count` finite numbers from low to high."""
+    """Return data[key] if it is a list of `count` finite numbers from low to high."""
     return [_number(value, key, low, high) for value in _list(entry(data, key), key, count)]
 
 
 def rows(data: Any, key: str, count: int | None, width: int) -> list[list[float]]:
-    """data[key], where it is a list of `count` (None: any number of) lists of `width` finite numbers."""
+    """Return data[key] if it is a list of `count` (None: any number of) lists of `width` finite numbers."""
     found = _list(entry(data, key), key, count)
     return [[_number(value, key, -LARGEST, LARGEST) for value in _list(row, key, width)] for row in found]
 
@@ -77,9 +77,14 @@ def rows(data: Any, key: str, count: int | None, width: int) -> list[list[float]
 def array(
     arrays: Mapping[str, np.ndarray], name: str, dtype: type, shape: tuple[int | None, ...], most: float | None = np.inf
 ) -> np.ndarray:
-    """arrays[name], where it is of that dtype and shape. None: of any length along that axis.
+    """Return arrays[name] if it has this dtype and shape, and its floats are finite.
 
-    most: of its floats, which must be finite and lie in -most..most; None: they may be any.
+    Args:
+        arrays: Arrays by name.
+        name: The one to check.
+        dtype: Its type.
+        shape: Its shape; None for any length along an axis.
+        most: Largest magnitude of its floats; None to accept NaN and infinity too.
     """
     if name not in arrays:
         raise InvalidValue(f"the array {name} is missing")
@@ -95,19 +100,19 @@ def array(
 
 
 def finite(values: np.ndarray, name: str, most: float = np.inf) -> None:
-    """InvalidValue where an array holds NaN, infinity, or what does not lie in -most..most."""
+    """Raise InvalidValue if an array holds NaN, infinity or a magnitude over `most`."""
     flat = values.reshape(-1)
     for at in range(0, len(flat), _AT_ONCE):
         some = flat[at : at + _AT_ONCE]
-        fine = np.isfinite(some) if most == np.inf else np.abs(some) <= np.float32(most)  # so written, NaN is not
+        fine = np.isfinite(some) if most == np.inf else np.abs(some) <= np.float32(most)  # NaN fails this comparison
         if not fine.all():
             where = int(fine.argmin())
-            told = "" if most == np.inf else f", expected -{most:g} to {most:g}"
-            raise InvalidValue(f"the array {name} holds {some[where]} (number {at + where} of {len(flat)}){told}")
+            wanted = "" if most == np.inf else f", expected -{most:g} to {most:g}"
+            raise InvalidValue(f"the array {name} holds {some[where]} (number {at + where} of {len(flat)}){wanted}")
 
 
 def bits(arrays: Mapping[str, np.ndarray], name: str, cells: int) -> np.ndarray:
-    """[cells, cells, cells] bool of the array `name`, eight to a byte, the first the highest (numpy.packbits)."""
+    """Unpack the array `name`, as numpy.packbits wrote it, to [cells, cells, cells] bool."""
     packed = array(arrays, name, np.uint8, (-(-(cells**3) // 8),))
     return np.unpackbits(packed, count=cells**3).astype(bool).reshape((cells,) * 3)
 
@@ -120,12 +125,12 @@ def _integer(value: Any, what: str, low: int, high: int) -> int:
 
 def _number(value: Any, what: str, low: float, high: float) -> float:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # so written, NaN is none
+    if not number or not low <= value <= high:  # NaN fails this comparison
         raise InvalidValue(f"{what} is {_shown(value)}, expected a number from {low:g} to {high:g}")
     return float(value)
 
 
-def _list(value: Any, what: str, count: int | None) -> list:
+def _list(value: Any, what: str, count: int | None) -> list[Any]:
     if not isinstance(value, list):
         raise InvalidValue(f"{what} holds {_shown(value)}, expected a list")
     if count not in (None, len(value)):
@@ -134,7 +139,7 @@ def _list(value: Any, what: str, count: int | None) -> list:
 
 
 def _shown(value: Any) -> str:
-    """What was found, short enough for a line."""
+    """Describe `value` briefly."""
     if value is None or isinstance(value, (bool, dict, list)):
         return {type(None): "null", dict: "an object", list: "a list"}.get(type(value), str(value).lower())
     if isinstance(value, int) and abs(value) >= 10**20:  # str() refuses thousands of digits

@@ -146,7 +146,7 @@ class Painting:
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """[c, h, w] of conv2_2, and of conv3's layers joined."""
-        found = by_block(self.trunk.taps, self.trunk(image[None]))
+        found = by_block(self.trunk.layers, self.trunk(image[None]))
         return found["conv2"], found["conv3"]
 
 

@@ -10,7 +10,7 @@ from stages.configs.stylize import COLOR_CELLS, StylizeConfig
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
-from stylerf.style.feature_extractor import LAYERS, taps_of
+from stylerf.style.feature_extractor import LAYERS, layers_of
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import StyleSettings
 
@@ -84,13 +84,13 @@ def template_taps(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> s
 
 def of_those(taps: str, state: Mapping[str, torch.Tensor]) -> str:
     """The layers that the weights have, of a default; all of them where they have none, to be refused by name."""
-    return ",".join(layer for layer in taps_of(taps) if f"{layer}.weight" in state) or taps
+    return ",".join(layer for layer in layers_of(taps) if f"{layer}.weight" in state) or taps
 
 
 def coarse_taps(state: Mapping[str, torch.Tensor]) -> str:
     """What finds coarse matches with a reference: block 5, or the deepest layer of weights that end before it."""
     there = [layer for layer in LAYERS if f"{layer}.weight" in state]
-    whole = set(taps_of(COARSE_BLOCK)) <= set(there)
+    whole = set(layers_of(COARSE_BLOCK)) <= set(there)
     return COARSE_BLOCK if whole else there[-1]
 
 

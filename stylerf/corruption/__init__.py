@@ -1,1 +1,1 @@
-"""What goes wrong with captures and paintings, made on purpose and by known amounts."""
+"""Deliberate, measured faults of captures, photos and style images."""

@@ -1,6 +1,6 @@
-"""Faults of a capture: poses that are off, views that are missing, a near plane at the wrong place.
+"""Faults of a capture: wrong poses, missing views, a near plane that is too far.
 
-Poses are [n, 4, 4] world_from_camera, OpenCV axes, scene units; results are new arrays.
+Poses are [n, 4, 4] world_from_camera, OpenCV axes, scene units. Arguments are not modified.
 """
 
 import numpy as np
@@ -8,13 +8,18 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.geometry.scene_normalization import focus_of
 
+Point = tuple[float, float, float]
+
 
 def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.random.Generator) -> np.ndarray:
-    """Every camera turned and moved by chance, each by itself.
+    """Rotate and translate every camera at random and independently.
 
-    Turned about its own center by a rotation vector whose three components are normal with standard deviation
-    `degrees`; moved by a vector whose three components are normal with standard deviation `share` times the median
-    distance of the cameras from their focus.
+    Args:
+        poses: [n, 4, 4].
+        degrees: Standard deviation of each component of the rotation vector, about the camera's center.
+        share: Standard deviation of each component of the translation, as a fraction of the cameras' median distance
+            from their focus.
+        generator: Source of randomness.
     """
     poses = np.asarray(poses, np.float64)
     turns = np.radians(degrees) * generator.standard_normal((len(poses), 3))
@@ -26,12 +31,12 @@ def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.r
 
 
 def median_distance(poses: np.ndarray) -> float:
-    """Median distance of the cameras from the point that they look at, scene units."""
+    """Return the median distance of the cameras from the point that they look at, scene units."""
     return float(np.median(np.linalg.norm(poses[:, :3, 3] - focus_of(poses), axis=1)))
 
 
 def rotations(vectors: np.ndarray) -> np.ndarray:
-    """[n, 3, 3] of rotation vectors [n, 3] (radians) by Rodrigues' formula."""
+    """Convert rotation vectors [n, 3] (radians) to matrices [n, 3, 3] by Rodrigues' formula."""
     angles = np.linalg.norm(vectors, axis=1)
     axes = vectors / np.maximum(angles, 1e-12)[:, None]
     x, y, z = axes.T
@@ -42,13 +47,13 @@ def rotations(vectors: np.ndarray) -> np.ndarray:
 
 
 def spread_views(centers: np.ndarray, count: int, generator: np.random.Generator) -> list[int]:
-    """Indices of `count` of the camera centers [n, 3], spread out, in rising order.
+    """Choose `count` well-spread camera centers of [n, 3]; return their indices, ascending.
 
-    Begins with one by chance; each next one is the farthest from those chosen (Gonzalez 1985: the least distance
-    between two of them is at least half the best possible).
+    Farthest-point sampling from a random start (Gonzalez 1985: the smallest distance between two chosen centers is at
+    least half the optimum).
     """
     if not 0 < count <= len(centers):
-        raise InvalidValue(f"{count} of {len(centers)} views cannot be chosen")
+        raise InvalidValue(f"cannot choose {count} of {len(centers)} views")
     chosen = [int(generator.integers(len(centers)))]
     least = np.linalg.norm(centers - centers[chosen[0]], axis=1)
     while len(chosen) < count:
@@ -58,9 +63,9 @@ def spread_views(centers: np.ndarray, count: int, generator: np.random.Generator
 
 
 def one_sided(poses: np.ndarray, share: float, generator: np.random.Generator) -> list[int]:
-    """Indices of the `share` of the cameras (three at least) that stand on one side: what the others see is hidden.
+    """Choose the fraction `share` of the cameras, at least three, on one side of the scene; return their indices.
 
-    By their places along the direction, of 64 drawn at random, in which they lie widest apart.
+    The side is given by the one of 64 random directions along which the cameras spread most.
     """
     directions = generator.standard_normal((64, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -70,13 +75,12 @@ def one_sided(poses: np.ndarray, share: float, generator: np.random.Generator) -
     return sorted(np.argsort(-along, kind="stable")[:count].tolist())
 
 
-def cut_box(aabb: tuple, share: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """A box (lower, upper corner) that lacks the `share` of itself at the upper end of its third axis."""
-    low, high = ([float(value) for value in corner] for corner in aabb)
-    high[2] -= share * (high[2] - low[2])
-    return tuple(low), tuple(high)
+def cut_box(aabb: tuple[Point, Point], share: float) -> tuple[Point, Point]:
+    """Cut the fraction `share` off a box (lower, upper corner) at the upper end of its third axis."""
+    low, (x, y, z) = aabb
+    return low, (x, y, z - share * (z - low[2]))
 
 
 def late_near(near: float, far: float, share: float, distance: float) -> float:
-    """A near plane that cuts what lies before `share` of `distance`, never nearer than it was nor beyond far."""
+    """Move the near plane to `share` of `distance`, but neither closer than it was nor beyond 0.9 far."""
     return min(max(near, share * distance), 0.9 * far)

@@ -1,6 +1,6 @@
-"""Faults of photos: exposure that drifts, blur, JPEG noise.
+"""Faults of photos: drifting exposure, blur, JPEG artifacts.
 
-Photos are [h, w, 3 or 4] float32, sRGB 0..1, straight alpha, which no fault but blur changes.
+Photos are [h, w, 3 or 4] float32, sRGB 0..1, straight alpha, which only blur changes.
 """
 
 import io
@@ -11,15 +11,15 @@ from scipy.ndimage import gaussian_filter
 
 
 def exposure_stops(count: int, stops: float, generator: np.random.Generator) -> np.ndarray:
-    """[count] stops by which photos in the order of their taking are over- or under-exposed.
+    """Return the overexposure of `count` consecutive photos, in stops, [count].
 
-    A ramp from -stops to stops or the other way round, as when the sun comes out, by chance.
+    A ramp from -stops to stops or, at random, the reverse, as when the sun comes out.
     """
     return float(generator.choice([-1, 1])) * np.linspace(-stops, stops, count)
 
 
 def blurred(photo: np.ndarray, sigma: float) -> np.ndarray:
-    """The photo out of focus: a Gaussian of `sigma` pixels over premultiplied colors and alpha, edges mirrored."""
+    """Blur premultiplied colors and alpha with a Gaussian of `sigma` pixels, mirrored at the edges."""
     sigmas = (sigma, sigma, 0)
     if photo.shape[2] == 3:
         return np.clip(gaussian_filter(photo, sigmas, mode="reflect"), 0, 1)
@@ -30,7 +30,7 @@ def blurred(photo: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def through_jpeg(photo: np.ndarray, quality: int) -> np.ndarray:
-    """The colors as a JPEG file of that quality (1..95, chroma halved) gives them back."""
+    """Compress the colors as JPEG of this quality (1..95, 4:2:0) and decode them."""
     stored = io.BytesIO()
     pixels = np.round(np.clip(photo[..., :3], 0, 1) * 255).astype(np.uint8)
     Image.fromarray(pixels).save(stored, format="JPEG", quality=quality, subsampling=2)

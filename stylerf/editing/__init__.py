@@ -1,1 +1,1 @@
-"""Local edits: regions of a scene, what the views show of them, and palettes (LAENeRF, Radl et al. 2024)."""
+"""Local edits: regions of a scene, their appearance in the views, and palettes (LAENeRF, Radl et al. 2024)."""

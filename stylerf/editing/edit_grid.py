@@ -1,11 +1,12 @@
-"""A part of a scene as marked cells of the cube: the edit grid E, and the growing grid G around it (LAENeRF, 3.2).
+"""Regions as marked cells of the cube: the edit grid E and the growing grid G around it (LAENeRF, section 3.2).
 
-LAENeRF keeps cascades of grids, one for each doubling of the scene; here the field's own warp draws all of space into
-one cube, so that a neighbor is a neighbor everywhere and growth has no levels to cross.
+LAENeRF uses cascaded grids, one for each doubling of the scene. Here the field's warp maps all of space to one cube, so
+region growing never crosses levels.
 
-s: cells a side. A set of cells is a bool array [s, s, s], in the order of the cube's axes.
+s: cells per axis. A set of cells is a bool array [s, s, s], in the order of the cube's axes.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,18 +14,19 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.ray_samples import Rays, Samples
+from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.rendering.region_alpha import alpha_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256
-SOLID = 0.02  # opacity of a walk across one cell from which it can belong to something
-FINE = 128  # cells a side from which one point tells a cell's density; of larger ones two a side are asked
+SOLID = 0.02  # opacity of a cell from which it can belong to an object
+FINE = 128  # cells per axis from which a cell's density is sampled at its center only, not at 2^3 points
 POINTS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """edit: E, what is edited. grow: G, what lies around it and takes part in the transition; they share no cell."""
+    """edit: E, the edited cells. grow: G, the surrounding cells of the transition; they are disjoint."""
 
     edit: np.ndarray
     grow: np.ndarray
@@ -34,7 +36,7 @@ class Region:
         if self.edit.shape != (s, s, s) or self.grow.shape != self.edit.shape or not 1 <= s <= 1024:
             raise InvalidValue(f"region: grids of {self.edit.shape} and {self.grow.shape} cells")
         if self.edit.dtype != bool or self.grow.dtype != bool or (self.edit & self.grow).any():
-            raise InvalidValue("region: grids of bool that share no cell were expected")
+            raise InvalidValue("region: expected grids of bool that share no cell")
 
     @property
     def cells(self) -> int:
@@ -42,49 +44,49 @@ class Region:
         return self.edit.shape[0]
 
     def holds(self, x: np.ndarray) -> np.ndarray:
-        """[n] bool: whether cube points [n, 3] lie in E."""
+        """Return whether cube points [n, 3] lie in E, [n] bool."""
         return self.edit[tuple(cells_of_points(x, self.cells).T)]
 
     def alpha(self, samples: Samples, chunks: int) -> np.ndarray:
-        """alpha_E [rays]: how much of each ray's opacity lies inside E."""
+        """Return alpha_E [rays], the part of each ray's opacity inside E."""
         return alpha_inside(self.edit, samples, chunks)
 
 
 def cells_of_points(x: np.ndarray, cells: int) -> np.ndarray:
-    """[n, 3] int64: the cells that cube points [n, 3] lie in; points outside count to the border."""
+    """Return the cells [n, 3] int64 of cube points [n, 3], clamped to the border."""
     return np.clip((np.asarray(x) * cells).astype(np.int64), 0, cells - 1)
 
 
 def marked_at(x: np.ndarray, cells: int) -> np.ndarray:
-    """[cells, cells, cells] bool: the cells of cube points [n, 3]."""
+    """Mark the cells of cube points [n, 3]; [cells, cells, cells] bool."""
     out = np.zeros((cells,) * 3, bool)
     out[tuple(cells_of_points(x, cells).T)] = True
     return out
 
 
 def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = SOLID) -> np.ndarray:
-    """[cells, cells, cells] bool: where a walk across one cell would be at least `opacity` opaque.
+    """Mark cells whose opacity, when crossed, is at least `opacity`; [cells, cells, cells] bool.
 
-    LAENeRF asks for a raw density of 10 instead, which means nothing where densities are counted per cell or cube.
-    The density of a cell is that of its center, or the largest of eight points where there are fewer than FINE cells a
-    side; only cells that hold something of the field's occupied ones are asked.
+    LAENeRF uses a raw density of 10 instead, which depends on the unit of density. A cell's density is that at its
+    center, or the largest of eight points for fewer than FINE cells per axis. Only cells that overlap occupied ones are
+    evaluated.
     """
     least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
     corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1).astype(np.int32)
-    asked = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
+    candidates = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
     highest = np.zeros(cells**3, np.float32)
     probes = 1 if cells >= FINE else 2
     for probe in np.ndindex((probes,) * 3):
         shift = (np.array(probe, np.float32) + 0.5) / probes
-        for at in range(0, len(asked), POINTS_AT_ONCE):
-            some = asked[at : at + POINTS_AT_ONCE]
+        for at in range(0, len(candidates), POINTS_AT_ONCE):
+            some = candidates[at : at + POINTS_AT_ONCE]
             points = np.ascontiguousarray((corner[some] + shift) / np.float32(cells), np.float32)
             highest[some] = np.maximum(highest[some], field.density.sigma(points, chunks))
     return (highest >= least).reshape((cells,) * 3)
 
 
 def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
-    """[cells, cells, cells] bool: cells that share room with an occupied one [s, s, s]."""
+    """Mark cells that overlap an occupied one of [s, s, s]; [cells, cells, cells] bool."""
     ends = np.arange(cells + 1) * occupied.shape[0]
     spans = np.stack([ends[:-1] // cells, -(-ends[1:] // cells)], 1).ravel()  # from the first to beyond the last
     out = np.pad(occupied, (0, 1))
@@ -95,7 +97,7 @@ def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Growth:
-    """What growing came to. shells: cells newly marked at each distance; whole: nothing was left to look at."""
+    """Result of region growing. shells: number of cells added at each distance; whole: no candidates were left."""
 
     grown: np.ndarray
     shells: list[int]
@@ -103,14 +105,17 @@ class Growth:
 
 
 def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -> Growth:
-    """Region growing over faces, breadth first, from `start` through `allowed` cells, looking at up to `most` cells.
+    """Grow a region over face neighbors, breadth first.
 
-    start, allowed: [s, s, s] bool. Cells of `start` stay marked, allowed or not. The order is that of LAENeRF's queue:
-    whole shells at equal distance, cut within the last by the cells' numbers, so that the result does not depend on
-    how the work is shared out.
+    The order is that of LAENeRF's queue: whole shells of equal distance, the last one cut by cell index, so that the
+    result does not depend on threads.
 
-    neck: growing ends where the object is thin: at the narrowest shell that follows on one of less than `neck` times
-    the widest so far (see `narrowest`). 0: never.
+    Args:
+        start: [s, s, s] bool; these cells stay marked even if not allowed.
+        allowed: [s, s, s] bool.
+        most: Largest number of cells to visit.
+        neck: Stop where the object is thin: at the narrowest shell once sizes fall below `neck` times the largest so
+            far (see `narrowest`). 0: never.
     """
     s = start.shape[0]
     marked, open_to = start.reshape(-1).copy(), allowed.reshape(-1)
@@ -131,10 +136,10 @@ def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -
 
 
 def narrowest(sizes: list[int], neck: float) -> int:
-    """How many shells to keep: all, or those before the first neck.
+    """Return the number of shells before the first neck, or of all shells.
 
-    A neck is where the shells' sizes, the mean of three, have fallen under `neck` times the largest before; it ends
-    where they are least before they rise to that again. What dwindles to nothing is no neck but the end.
+    A neck begins where shell sizes, averaged over three, fall below `neck` times the largest so far, and is at their
+    minimum before they exceed it again. Sizes that only shrink are no neck.
     """
     if neck <= 0 or len(sizes) < 3:
         return len(sizes)
@@ -150,7 +155,7 @@ def narrowest(sizes: list[int], neck: float) -> int:
 
 
 def neighbors(cells: np.ndarray, s: int) -> np.ndarray:
-    """Flat numbers, ascending and each once, of the face neighbors of flat cell numbers [n] in a grid of s^3."""
+    """Return the flat indices, sorted and unique, of the face neighbors of cells [n] in a grid of s^3."""
     x, y, z = np.unravel_index(cells, (s, s, s))
     found = []
     for axis, stride in ((x, s * s), (y, s), (z, 1)):
@@ -158,8 +163,10 @@ def neighbors(cells: np.ndarray, s: int) -> np.ndarray:
     return np.unique(np.concatenate(found)) if len(cells) else np.empty(0, np.int64)
 
 
-def march_view(field: RadianceField, camera, chunks: int, rays_at_once: int = 8192):
-    """(slice of pixels, Samples) of every pixel center of a view, part by part."""
+def march_view(
+    field: RadianceField, camera: Camera, chunks: int, rays_at_once: int = 8192
+) -> Iterator[tuple[slice, Samples]]:
+    """Yield (slice of pixels, Samples) for the rays through all pixel centers of a view, in parts."""
     origins, directions = camera.rays()
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, min(at + rays_at_once, len(origins)))

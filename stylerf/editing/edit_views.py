@@ -1,4 +1,4 @@
-"""What one view shows of a region, as the palette module learns from it (LAENeRF, section 3.3)."""
+"""The training data of a palette module: the pixels of a region in one view (LAENeRF, section 3.3)."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,22 @@ from stylerf.errors import InvalidValue
 
 @dataclass(frozen=True, eq=False)
 class EditView:
-    """n pixels of one view that show the region; all arrays float32 but `pixels`.
+    """The n pixels of one view that show the region; all arrays but `pixels` are float32.
 
-    view: index of the scene's view. pixels: [n] int64 row-major numbers, ascending. x: [n, 3] where their rays end, in
-    the cube. along: [n, 3] what x moves by when the ray ends one jitter further. directions: [n, 3] unit, from the
-    camera. target: [n, 3] sRGB 0..1 of the photo. weight: [n] alpha of the field. inside: [n] alpha_E, the part of it
-    that lies in the region. depth: [n] mean distance along the ray within the region, scene units. through: [n]
-    sum(w t) over the whole ray but its backdrop. transition: [n] lambda, 1 where the region meets what surrounds it,
-    0 far from it. edges: [n, 2] geometry edges zeta >= 0 between a pixel and the one below it, the one right of it.
+    Attributes:
+        view: Index of the scene's view.
+        width, height: Of the view, pixels.
+        pixels: [n] int64, row-major indices, ascending.
+        x: [n, 3] ends of the rays, in the cube.
+        along: [n, 3] change of x if the ray ends one jitter farther.
+        directions: [n, 3] unit, from the camera.
+        target: [n, 3] the photo, sRGB 0..1.
+        weight: [n] alpha of the field.
+        inside: [n] alpha_E, the part of alpha inside the region.
+        depth: [n] mean distance along the ray within the region, scene units.
+        through: [n] sum(w t) over the whole ray, without its opaque background.
+        transition: [n] lambda, 1 at the region's border with its surroundings, 0 far from it.
+        edges: [n, 2] geometry edges zeta >= 0 to the pixel below and to the pixel on the right.
     """
 
     view: int
@@ -39,12 +47,12 @@ class EditView:
 
     @property
     def window(self) -> tuple[slice, slice]:
-        """Rows and columns of the bounding box of the pixels (both ends included: LAENeRF's code drops the last)."""
+        """Rows and columns of the pixels' bounding box, both ends included (LAENeRF's code drops the last)."""
         rows, columns = np.divmod(self.pixels, self.width)
         return slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(upper, lower, left, right): places in `pixels` of all pairs of neighbors that both show the region."""
+        """Return (upper, lower, left, right): indices into `pixels` of all vertical and horizontal neighbors."""
         place = np.full(self.width * (self.height + 1) + 1, -1, np.int64)
         place[self.pixels] = np.arange(len(self.pixels))
         below = place[self.pixels + self.width]
@@ -54,6 +62,6 @@ class EditView:
 
 
 def check_pixels(pixels: np.ndarray, what: str, width: int, height: int) -> None:
-    """InvalidValue where row-major numbers of pixels [n] int64 are not those of a picture of that size."""
+    """Raise InvalidValue if row-major pixel indices [n] int64 lie outside an image of this size."""
     if len(pixels) and not (0 <= pixels.min() and pixels.max() < width * height):
-        raise InvalidValue(f"the array {what} holds numbers of no pixel of {width}x{height}")
+        raise InvalidValue(f"the array {what} holds pixels outside {width}x{height}")

@@ -1,6 +1,6 @@
-"""What the views show of a region: where rays end in it, what the photos have there, and where its geometry has edges.
+"""Extraction of a region's training data from the views: ray ends, photo colors and geometry edges.
 
-LAENeRF, section 3.3 and supplementary 1; what differs is told at each place.
+LAENeRF, section 3.3 and supplement 1; deviations are noted where they occur.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import ends_inside
 
-JITTERS = 512  # the depths of a view are that many jitters apart
-OPAQUE = 0.5  # alpha, of the field and of the photo, under which a pixel is too little of anything to be edited
-SURE = 0.98  # weight of a pixel from which its depth counts for an edge
+JITTERS = 512  # a jitter is this fraction of a view's depth range
+OPAQUE = 0.5  # least alpha, of the field and of the photo, of an edited pixel
+SURE = 0.98  # least weight of a pixel whose depth counts for edges
 EVERYWHERE = np.ones((1, 1, 1), bool)  # the whole cube, as one marked cell
-TOUCHING = 0.5  # share of a ray's opacity inside the growing grid from which the ray ends there
+TOUCHING = 0.5  # fraction of a ray's opacity inside the growing grid from which the ray ends there
 
 
 @dataclass(frozen=True)
 class Extraction:
-    """tolerance: opacity of a ray that may lie outside the region. reach: width of the transition, scene units."""
+    """tolerance: largest opacity of a ray outside the region. reach: width of the transition, scene units."""
 
     tolerance: float = 0.5
     reach: float = 0.0
@@ -32,7 +32,7 @@ class Extraction:
 
 @dataclass(frozen=True)
 class Seen:
-    """A view of the region and, for all its pixels, [h, w]: alpha of the field, of the region, and depth (0: none)."""
+    """A view of the region and, for all pixels, [h, w]: alpha of the field, alpha of the region, depth (0: none)."""
 
     edit: EditView | None
     alpha: np.ndarray
@@ -41,18 +41,18 @@ class Seen:
 
 
 def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], chunks: int) -> list[np.ndarray]:
-    """By grid of marked cells [pixels, 6]: alpha, alpha inside, depth (scene units, along the ray) and x there.
+    """Return, for each grid of marked cells, [pixels, 6]: alpha, alpha inside, depth along the ray (scene units), x.
 
-    Depth and x are means over the samples inside, by weight. LAENeRF takes sums over all samples of the ray, not
-    divided by alpha, which puts ends short of their surface wherever the ray is not quite opaque.
+    Depth and x are weighted means over the samples inside. LAENeRF uses sums over all samples of the ray, not divided
+    by alpha, which end before the surface if the ray is not fully opaque.
     """
     flat = [np.ascontiguousarray(marked).reshape(-1) for marked in grids]
     outs = [np.empty((camera.height * camera.width, 6), np.float32) for _ in grids]
     for part, s in march_view(field, camera, chunks):
-        # Of whole rays what meets the backdrop has no distance, as in the depth that they are compared with.
-        of_things = np.where(s.optical > 0, s.weights, np.float32(0))
+        # For whole rays the opaque background has no distance, as in the depth that they are compared to.
+        foreground = np.where(s.optical > 0, s.weights, np.float32(0))
         for marked, own, out in zip(grids, flat, outs):
-            weights = of_things if marked is EVERYWHERE else s.weights
+            weights = foreground if marked is EVERYWHERE else s.weights
             ends_inside(own, marked.shape[0], s.x, s.t, weights, s.starts, s.ends, chunks, out[part])
     for out in outs:
         out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)
@@ -69,11 +69,20 @@ def seen_of_view(
     chunks: int,
     ends_of: Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None = None,
 ) -> Seen:
-    """What view number `view` shows of the region; edit is None where it shows nothing.
+    """Extract what a view shows of the region; `edit` is None if it shows nothing.
 
-    photo: [h, w, 3 or 4] sRGB 0..1. A pixel counts where at most `tolerance` of its opacity lies outside the region,
-    which leaves out what floats before it or hides it. Colors are the photo's own, not times its alpha as in LAENeRF:
-    silhouettes would teach the palette a black that is not there. ends_of: ends_of_view on another device; None: here.
+    A pixel is used if at most `tolerance` of its opacity lies outside the region, which excludes floaters and
+    occluders. Colors are not premultiplied as in LAENeRF, where silhouettes add black to the palette.
+
+    Args:
+        field: The field.
+        camera: Of the view.
+        photo: [h, w, 3 or 4] sRGB 0..1.
+        region: The region.
+        settings: Tolerance and width of the transition.
+        view: Index of the view.
+        chunks: Threads.
+        ends_of: Replaces ends_of_view, on another device.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
     grids = [region.edit, region.grow, EVERYWHERE] if fading else [region.edit, EVERYWHERE]
@@ -112,19 +121,23 @@ def seen_of_view(
 
 
 def _along(field: RadianceField, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """[n, 3] what x moves by, in the cube, over one jitter: a JITTERS-th of the depths that the view spans."""
+    """Return the change of x [n, 3], in the cube, over one jitter: the view's depth range divided by JITTERS."""
     half = (depth.max() - depth.min()) / (2 * JITTERS)
     ends = [field.space.warp(origins + directions * (depth + side)[:, None]) for side in (-half, half)]
     return (ends[1] - ends[0]).astype(np.float32)
 
 
 def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: float) -> np.ndarray:
-    """lambda [n]: 1 where the region touches the growing grid, falling to 0 at `reach` from it, scene units.
+    """Return lambda [n]: 1 where the region touches the growing grid, falling to 0 at `reach` from it, scene units.
 
-    ends: of all rays of the view, in the growing grid.
+    Distances are to the ends of the view's rays in the growing grid. LAENeRF divides by the largest distance in the
+    view; a fixed width gives the same lambda in every view.
 
-    Distances are to the ends of this view's rays in the growing grid. LAENeRF divides by the largest distance in the
-    view; a fixed width makes one place the same in every view.
+    Args:
+        field: The field.
+        x: [n, 3] ends of rays in the region.
+        ends: Of all rays of the view, in the growing grid, as from ends_of_view.
+        reach: Width, scene units.
     """
     touching = ends[:, 1] > TOUCHING * np.maximum(ends[:, 0], 1e-3)
     if not touching.any():
@@ -136,11 +149,11 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
 
 
 def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """zeta [h*w, 2] in 0..1: geometry edges between a pixel and the one below it, and the one right of it.
+    """Return geometry edges zeta [h*w, 2], 0..1, to the pixel below and to the pixel on the right.
 
-    |D_i - D_{i+1}| (in shares of the view's depths) times the weights of four pixels in a row, times the difference of
-    the photo's colors (supplementary eq. 1 has no colors, the released code does). The share makes it free of the
-    scene's unit.
+    |D_i - D_{i+1}|, relative to the view's depth range and so independent of the scene's unit, times the weights of
+    four consecutive pixels, times the difference of the photo's colors (which the released code has, but not
+    supplementary eq. 1).
     """
     sure = np.where(weight < SURE, 0, weight)
     shown = depth > 0

@@ -1,4 +1,4 @@
-"""Where rays of whole views end in a region, found on a GPU: the march and the sums of extraction.ends_of_view."""
+"""Ends of rays in a region on a GPU: extraction.ends_of_view."""
 
 from dataclasses import replace
 
@@ -19,11 +19,9 @@ RAYS_AT_ONCE = 1 << 17
 
 
 class GpuRayEnds:
-    """ends_of_view of one field on `device`, to rounding; the grids that were asked for stay there."""
+    """ends_of_view of one field on `device`, equal up to rounding; keeps grids on the device."""
 
-    def __init__(
-        self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE
-    ) -> None:  # fmt: skip
+    def __init__(self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE) -> None:
         self._field, self.rays_at_once = GpuField(field, torch.device(device)), rays_at_once
         self._there: list[tuple[np.ndarray, Tensor]] = []
 
@@ -35,16 +33,16 @@ class GpuRayEnds:
         return self._there[-1][1]
 
     def __call__(self, camera: Camera, grids: list[np.ndarray]) -> list[np.ndarray]:
-        """By grid of marked cells [s, s, s]: [pixels, 6] alpha, alpha inside, depth and x there, as ends_of_view."""
+        """Return what ends_of_view does, for each grid of marked cells [s, s, s]."""
         count = camera.height * camera.width
         marked = [self._marked(grid) for grid in grids]
 
         def part(begin: int, end: int) -> list[Tensor]:
             rays, found = rays_of(camera, torch.arange(begin, end, device=self._field.device)), []
             samples = self._field.march(rays, SAMPLE_LIMIT, 1e-3, None)
-            of_things = replace(samples, weights=torch.where(samples.optical > 0, samples.weights, 0.0))
+            foreground = replace(samples, weights=torch.where(samples.optical > 0, samples.weights, 0.0))
             for grid, own in zip(grids, marked):
-                ends = launch_edit.ends_inside(own, grid.shape[0], of_things if grid is EVERYWHERE else samples)
+                ends = launch_edit.ends_inside(own, grid.shape[0], foreground if grid is EVERYWHERE else samples)
                 ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
                 found.append(ends)
             return found

@@ -1,7 +1,7 @@
-"""A palette of a scene's colors: the corners of a simple shape around nearly all of them (Tan et al. 2016 and 2018).
+"""Palette extraction from a simplified convex hull of a scene's colors (Tan et al. 2016 and 2018).
 
-As PaletteNeRF takes it: frequent colors by histogram and weighted k-means, their convex hull, its edges collapsed one
-by one. Every color within is then a mix of the corners, and the mix tells weights where there is nothing else to.
+As in PaletteNeRF: frequent colors by histogram and weighted k-means, their convex hull, and edge collapses. Every color
+inside is then a mix of the corners, which initializes the weights.
 """
 
 from dataclasses import dataclass
@@ -15,38 +15,43 @@ from scipy.spatial import ConvexHull, QhullError
 from stylerf.editing.palette_module import clustered_palette
 from stylerf.errors import InvalidValue
 
-COARSE, FINE = 3, 5  # bits a channel
-FREQUENT = 8e-3  # share of all colors from which a coarse bin begins a cluster
-ERROR = 5 / 255  # root mean square that a palette chosen by error leaves of the frequent colors
-FEWEST = 4  # corners of a shape that holds a volume
+COARSE, FINE = 3, 5  # bits per channel
+FREQUENT = 8e-3  # fraction of all colors from which a coarse bin seeds a cluster
+ERROR = 5 / 255  # root mean square error of the frequent colors that is accepted when the size is chosen automatically
+FEWEST = 4  # corners of a hull with a volume
 ROUNDS = 20
-SUM_WEIGHT = 100.0  # of the weights' sum being 1, beside the color's error
+SUM_WEIGHT = 100.0  # weight of the constraint that weights sum to 1, relative to the color's error
 SIDE = 1 << FINE
-SLANTED = 1e-9  # determinant of three unit normals under which their planes meet nowhere, or in a line
-FARTHEST = 1.5  # from the middle of the colors, along each channel, that a corner may lie before it is clipped
+SLANTED = 1e-9  # determinant of three unit normals below which their planes have no common point
+FARTHEST = 1.5  # largest distance of a corner from mid-gray, per channel, before clipping
 
 
 @dataclass(frozen=True, eq=False)
 class ExtractedPalette:
-    """palette [M, 3] sRGB 0..1. guide [32, 32, 32, M] float32: weights, each adding up to 1, of the colors of a
-    32nd of each channel. error: root mean square over the frequent colors and channels that mixes leave."""
+    """A palette and the weights of all colors.
+
+    Attributes:
+        palette: [M, 3] sRGB 0..1.
+        guide: [32, 32, 32, M] float32, weights of each color bin, which sum to 1.
+        error: Root mean square error of the mixes over frequent colors and channels.
+    """
 
     palette: np.ndarray
     guide: np.ndarray
     error: float
 
     def weights_of(self, colors: np.ndarray) -> np.ndarray:
-        """[n, M] of colors [n, 3] in 0..1."""
+        """Look up the weights [n, M] of colors [n, 3], 0..1."""
         return self.guide[tuple(bins_of(colors, FINE).T)]
 
 
 def bins_of(colors: np.ndarray, bits: int) -> np.ndarray:
-    """[n, 3] int64: bins of colors in 0..1."""
+    """Return the bins [n, 3] int64 of colors 0..1."""
     return np.clip(np.floor(np.asarray(colors) * (1 << bits)), 0, (1 << bits) - 1).astype(np.int64)
 
 
 def histogram(colors: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
-    """(mean colors [m, 3] float64, shares [m]) of the bins that hold any of colors [n, 3]."""
+    """Return mean colors [m, 3] float64 and fractions [m] of the nonempty bins of colors [n, 3]."""
     side = 1 << bits
     flat = np.ravel_multi_index(tuple(bins_of(colors, bits).T), (side,) * 3)
     counts = np.bincount(flat, minlength=side**3)
@@ -56,7 +61,7 @@ def histogram(colors: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def weighted_means(colors: np.ndarray, masses: np.ndarray, centers: np.ndarray) -> np.ndarray:
-    """[k, 3]: k-means of colors [n, 3] that count by their masses, begun at centers [k, 3]; an empty cluster stays."""
+    """Run k-means of colors [n, 3], weighted by masses [n], from centers [k, 3]; empty clusters keep their centers."""
     for _ in range(ROUNDS):
         nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)
         sizes = np.bincount(nearest, masses, len(centers))
@@ -66,12 +71,17 @@ def weighted_means(colors: np.ndarray, masses: np.ndarray, centers: np.ndarray) 
 
 
 def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> ExtractedPalette:
-    """Of colors [n, 3] in 0..1. size: corners, at least 4; 0: as few as leave ERROR of the frequent colors.
+    """Extract a palette from colors [n, 3], 0..1.
 
-    Colors without volume (grays, a single ramp) have no such shape: their palette is that of k-means.
+    Colors without volume (grays, a single ramp) have no hull; their palette comes from k-means.
+
+    Args:
+        colors: [n, 3].
+        size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR.
+        generator: For k-means.
     """
     if len(colors) == 0 or not np.isfinite(colors).all() or 0 < size < FEWEST or size < 0:
-        raise InvalidValue(f"a palette of {size} (0, or 4 and more) was asked of {len(colors)} colors")
+        raise InvalidValue(f"cannot extract a palette of {size} colors (0, or at least 4) from {len(colors)} colors")
     fine, masses = histogram(colors, FINE)
     means, shares = histogram(colors, COARSE)
     frequent = weighted_means(fine, masses, means[shares > FREQUENT] if (shares > FREQUENT).any() else means)
@@ -85,10 +95,9 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
 
 
 def simplified(colors: np.ndarray, size: int) -> np.ndarray:
-    """[M, 3] in 0..1: corners of the convex hull of colors [n, 3], edges collapsed until `size` are left.
+    """Return the corners [M, 3], 0..1, of the convex hull of colors [n, 3], with edges collapsed until `size` are left.
 
-    size 0: until the next would leave more than ERROR of the colors outside, or 4 are left. Raises QhullError where
-    the colors have no volume.
+    With size 0, until another collapse would exceed ERROR or 4 are left. Raises QhullError if colors have no volume.
     """
     hull = ConvexHull(colors)
     corners = colors[hull.vertices]
@@ -101,17 +110,18 @@ def simplified(colors: np.ndarray, size: int) -> np.ndarray:
 
 
 def collapsed(corners: np.ndarray) -> np.ndarray | None:
-    """Corners [m, 3] of a convex hull with one edge made a point, the one that adds the least volume; None: none can.
+    """Collapse the edge of a convex hull with corners [m, 3] that adds the least volume; None if none can be.
 
-    The point lies outside of all faces that meet the edge, so that the new hull holds the old (Sander et al. 2000).
+    The new point is outside all faces that meet the edge, so that the new hull contains the old (Sander et al. 2000).
     """
     hull = ConvexHull(corners)
     best: tuple[float, int, int, np.ndarray] | None = None
-    for first, second in sorted({tuple(sorted((f[i], f[i - 1]))) for f in hull.simplices for i in range(3)}):
+    edges = {(min(f[i], f[i - 1]), max(f[i], f[i - 1])) for f in hull.simplices for i in range(3)}
+    for first, second in sorted(edges):
         beside = (hull.simplices == first).any(1) | (hull.simplices == second).any(1)
         normals, depths = hull.equations[beside, :3], hull.equations[beside, 3]
         areas = np.array([_area(corners[face]) for face in hull.simplices[beside]])
-        # Volume added is a sum of pyramids over these faces: area times distance by three, linear in the point.
+        # The added volume is a sum of pyramids over these faces, area * distance / 3, which is linear in the point.
         found = least_outside(normals, depths, areas @ normals / 3)
         if found is None:
             continue
@@ -126,9 +136,9 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
 
 
 def least_outside(normals: np.ndarray, depths: np.ndarray, cost: np.ndarray) -> np.ndarray | None:
-    """The point [3] of least cost @ point with normals [k, 3] @ point + depths >= 0; None where there is none.
+    """Return the point [3] that minimizes cost @ point subject to normals [k, 3] @ point + depths >= 0; None if none.
 
-    A linear program of three unknowns: its answer is where three of the planes meet, so all such places are tried.
+    A linear program in three unknowns: its optimum is where three of the planes meet, so all such points are tried.
     """
     triples = np.array(list(combinations(range(len(depths)), 3)))
     systems = normals[triples]
@@ -143,14 +153,14 @@ def _area(face: np.ndarray) -> float:
 
 
 def hull_error(palette: np.ndarray, colors: np.ndarray) -> float:
-    """Root mean square over colors [n, 3] and channels of what the nearest mixes of the palette leave."""
+    """Return the root mean square distance of colors [n, 3] from the nearest mixes of the palette."""
     return float(np.sqrt(np.square(mixing_weights(colors, palette) @ palette - colors).mean()))
 
 
 def mixing_weights(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
-    """[n, M]: weights >= 0 that add up to 1 of the palette's mix nearest to each of colors [n, 3].
+    """Return the weights [n, M], >= 0 and summing to 1, of the palette's mix nearest to each of colors [n, 3].
 
-    Of four corners they are the barycentric ones; of more, those that the active-set method ends with: few are not 0.
+    Barycentric coordinates for four corners; for more, the sparse solution of the active-set method.
     """
     rows = np.concatenate([np.asarray(palette, np.float64).T, np.full((1, len(palette)), SUM_WEIGHT)])
     found = np.stack([nnls(rows, np.append(color, SUM_WEIGHT))[0] for color in np.asarray(colors, np.float64)])
@@ -158,7 +168,7 @@ def mixing_weights(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
 
 
 def _table(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """[32, 32, 32, M]: weights [n, M] of bins that hold colors [n, 3]; others have those of the nearest such bin."""
+    """Spread weights [n, M] of colors [n, 3] over all bins, [32, 32, 32, M]; empty bins take the nearest one's."""
     table = np.zeros((SIDE, SIDE, SIDE, weights.shape[1]), np.float32)
     held = np.zeros((SIDE,) * 3, bool)
     place = tuple(bins_of(colors, FINE).T)

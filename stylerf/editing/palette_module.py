@@ -1,15 +1,16 @@
-"""Colors of a region as mixes of a few palette colors plus a small offset (LAENeRF, section 3.4).
+"""The palette module: colors of a region as mixes of a few palette colors plus a small offset (LAENeRF, section 3.4).
 
     c = clamp(w P + o, 0, 1),  w = softmax of W(phi(x)) over the active colors,  o = tanh O(phi(x), SH(d))
 
-x a point of the region, d the view direction, phi a hash encoding, W and O small networks. The released code leaves the
-tanh out of its preview; here o is the same everywhere.
+with x a point of the region, d the view direction, phi a hash encoding, W and O small networks. The preview of the
+released code omits the tanh; here o is the same everywhere.
 
-P: palette [colors, 3], sRGB, not bound to 0..1. A: colors still active. n: points.
+P: palette [colors, 3], sRGB, not clamped to 0..1. A: number of active colors. n: points.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,15 +23,15 @@ from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import BANDS, harmonics
 
 WIDTH = 64  # of the hidden layers
-DEGREE = 2  # nine harmonics: "degree 3" in LAENeRF, which counts from one
+DEGREE = 2  # nine harmonics; LAENeRF counts from one and calls it degree 3
 MOST_COLORS = 32
 POINTS_AT_ONCE = 1 << 16
-MARGIN = 0.05  # of the region's size: what jitter and other views add to the box that is encoded
+MARGIN = 0.05  # of the encoded box, as a fraction of the region's size, for jitter and other views
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """weights: [n, A], each row adds up to 1. offsets: [n, 3] in -1..1. colors: [n, 3] in 0..1."""
+    """weights: [n, A], rows sum to 1. offsets: [n, 3] in -1..1. colors: [n, 3] in 0..1."""
 
     weights: Tensor
     offsets: Tensor
@@ -38,10 +39,14 @@ class Mixture:
 
 
 class PaletteModule:
-    """Palette, encoding and both networks. Edits count colors 0 to A - 1: those that are active, in their order.
+    """Palette, encoding and both networks. Edits number the active colors 0 to A - 1, in order.
 
-    box: [2, 3] float32, the part of the cube that is encoded; points outside count to its sides. values: palette, then
-    weights and biases of W's three layers, then of O's, one float32 array, so that one optimizer takes it.
+    Args:
+        encoding: phi.
+        box: [2, 3] float32, the encoded part of the cube; points outside are clamped.
+        active: [colors] bool.
+        values: Palette, then weights and biases of W's three layers, then of O's, as one float32 array for one
+            optimizer.
     """
 
     kind = "palette"
@@ -49,24 +54,24 @@ class PaletteModule:
     def __init__(self, encoding: HashEncoding, box: np.ndarray, active: np.ndarray, values: np.ndarray) -> None:
         count = len(active)
         if not 1 <= count <= MOST_COLORS or active.dtype != bool or not active.any():
-            raise InvalidValue(f"palette: 1 to {MOST_COLORS} colors, one of them active, were expected")
+            raise InvalidValue(f"palette: expected 1 to {MOST_COLORS} colors, at least one of them active")
         if box.shape != (2, 3) or not (box[0] < box[1]).all():
             raise InvalidValue(f"palette: expected a box of lower and upper corner, found {box.tolist()}")
         expected = count * 3 + sum((i + 1) * o for net in self._nets(encoding.width, count) for i, o in net)
         if values.shape != (expected,) or values.dtype != np.float32 or not np.isfinite(values).all():
-            raise InvalidValue(f"palette: {len(values)} values where {expected} finite ones were expected")
+            raise InvalidValue(f"palette: {len(values)} values, expected {expected} finite ones")
         self.encoding, self.box, self.active, self.values = encoding, box.astype(np.float32), active, values
 
     @classmethod
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, box: np.ndarray, encoding: HashEncoding | None = None
     ) -> "PaletteModule":
-        """palette [colors, 3]: where it begins. All weights begin nearly even, all offsets nearly zero."""
+        """Initialize a module with a palette [colors, 3], nearly uniform weights and nearly zero offsets."""
         encoding = encoding or HashEncoding.create(generator)
-        parts = [np.asarray(palette, np.float32).ravel()]
+        parts: list[np.ndarray] = [np.asarray(palette, np.float32).ravel()]
         for net in cls._nets(encoding.width, len(palette)):
             for number, (inside, outside) in enumerate(net):
-                # He et al. 2015, for ReLU; the last layers a tenth of it.
+                # He et al. 2015, for ReLU; a tenth of it for the last layers.
                 bound = math.sqrt(6 / inside) * (0.1 if number + 1 == len(net) else 1.0)
                 parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
         values = np.concatenate(parts).astype(np.float32)
@@ -74,24 +79,28 @@ class PaletteModule:
 
     @staticmethod
     def _nets(features: int, count: int) -> list[list[tuple[int, int]]]:
-        """(inputs, outputs) of every layer of W and of O."""
+        """Return (inputs, outputs) of every layer of W and of O."""
         return [[(i, WIDTH), (WIDTH, WIDTH), (WIDTH, o)] for i, o in ((features, count), (features + BANDS[DEGREE], 3))]
 
-    # -- what is learned ---------------------------------------------------------------------------------------------
+    # -- training ----------------------------------------------------------------------------------------------------
 
     def leaf(self) -> Tensor:
-        """A copy of `values` that gradients are asked of."""
+        """Return a copy of `values` that requires gradients."""
         return torch.from_numpy(self.values.copy()).requires_grad_()
 
     def mix(self, values: Tensor, phi: Tensor, basis: Tensor, kept: Tensor | None = None) -> Mixture:
-        """From `values` as a tensor, features phi [n, features] and harmonics of the directions [n, 9].
+        """Evaluate the module.
 
-        kept: numbers of the active colors, where they lie beside the others already.
+        Args:
+            values: As a tensor.
+            phi: Features [n, features].
+            basis: Harmonics of the directions [n, 9].
+            kept: Indices of the active colors, if already on the device.
         """
         count = len(self.active)
         nets = self._nets(phi.shape[1], count)
         sizes = [size for net in nets for inside, outside in net for size in (inside * outside, outside)]
-        # clone: a slice may begin at any address, and a product's last bit may depend on that.
+        # Cloned because a slice may be unaligned, which can change the last bit of a product.
         parts = iter([part.clone() for part in values[3 * count :].split(sizes)])
         found = []
         for net, hidden in zip(nets, (phi, torch.cat([phi, basis], 1))):
@@ -107,23 +116,23 @@ class PaletteModule:
         return Mixture(weights, offsets, (weights @ palette + offsets).clamp(0, 1))
 
     def palette_of(self, values: Tensor) -> Tensor:
-        """[colors, 3], removed ones too."""
+        """Return the palette [colors, 3], including inactive colors."""
         return values[: 3 * len(self.active)].view(-1, 3)
 
     def local(self, x: np.ndarray) -> np.ndarray:
-        """Cube points [n, 3] as places in the box, 0..1."""
+        """Map cube points [n, 3] to the box, 0..1."""
         return np.clip((x - self.box[0]) / (self.box[1] - self.box[0]), 0, 1).astype(np.float32)
 
-    # -- what is asked ----------------------------------------------------------------------------------------------
+    # -- evaluation --------------------------------------------------------------------------------------------------
 
     @property
     def palette(self) -> np.ndarray:
-        """[A, 3] the active colors, sRGB 0..1."""
+        """The active colors [A, 3], sRGB 0..1."""
         return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
-        """Of cube points and unit directions [n, 3], in parts of bounded memory."""
+        """Evaluate the module at cube points and unit directions [n, 3], in parts of bounded memory."""
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -134,8 +143,8 @@ class PaletteModule:
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        """[n, A] float32."""
-        return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1)), chunks).weights.numpy()
+        """Return the weights [n, A] float32 at cube points [n, 3]."""
+        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
 
     def colors(
         self,
@@ -145,20 +154,25 @@ class PaletteModule:
         transition: np.ndarray | None = None,
         chunks: int = 1,
     ) -> np.ndarray:
-        """[n, 3] float32 in 0..1; with edits, as they make them.
+        """Return colors [n, 3] float32 in 0..1, after `edits` if given.
 
-        transition: lambda [n] in 0..1. There palette and weights, not colors, are drawn back to what they were:
-        P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
+        Args:
+            x: Cube points [n, 3].
+            directions: Unit [n, 3].
+            edits: Of palette and weights.
+            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
+                P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
+            chunks: Threads.
         """
         return self.edited(self.mixture(x, directions, chunks), edits, transition)
 
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:
-        """As colors(), of a mixture (on the CPU) that stands already."""
+        """Do as colors(), given a mixture on the CPU."""
         if edits is None or not edits:
             return found.colors.numpy()
-        # The learned colors, unclamped: w P + o was fitted with these.
+        # Unclamped, as in training.
         palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
         weights, offsets = found.weights.numpy(), found.offsets.numpy()
         new_palette, new_weights = edits.palette(palette), edits.weights(weights)
@@ -171,9 +185,9 @@ class PaletteModule:
         out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
         return np.clip(out, 0, 1).astype(np.float32)
 
-    # -- what is kept -----------------------------------------------------------------------------------------------
+    # -- storage -----------------------------------------------------------------------------------------------------
 
-    def describe(self) -> dict:
+    def describe(self) -> dict[str, Any]:
         return {
             "kind": self.kind,
             "active": self.active.tolist(),
@@ -185,21 +199,21 @@ class PaletteModule:
         return {"networks": self.values, "table": self.encoding.values}
 
     @classmethod
-    def restore(cls, data: dict, arrays: dict[str, np.ndarray]) -> "PaletteModule":
+    def restore(cls, data: dict[str, Any], arrays: dict[str, np.ndarray]) -> "PaletteModule":
         table, networks = (
             validation.array(arrays, name, np.float32, (None,), validation.LEARNED) for name in ("table", "networks")
         )
         encoding = HashEncoding.restore(validation.entry(data, "encoding"), table.copy())
         active = validation.entry(data, "active", list)
         if not all(isinstance(one, bool) for one in active):
-            raise InvalidValue("palette: active holds other values than true and false")
+            raise InvalidValue("palette: active must hold only true and false")
         return cls(
             encoding, np.array(validation.rows(data, "box", 2, 3), np.float32), np.array(active, bool), networks.copy()
         )
 
 
 def box_around(points: np.ndarray) -> np.ndarray:
-    """[2, 3]: corners of what cube points [n, 3] fill, with a margin; no side is thinner than a tenth of another."""
+    """Return the bounding box [2, 3] of cube points [n, 3], with a margin; no side is under a tenth of the longest."""
     low, high = points.min(0), points.max(0)
     size = np.maximum(high - low, max(0.1 * float((high - low).max()), 1e-3))
     middle = (low + high) / 2
@@ -207,14 +221,14 @@ def box_around(points: np.ndarray) -> np.ndarray:
 
 
 def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
-    """[count, 3] even in 0..1: how LAENeRF begins."""
+    """Return a palette [count, 3], uniform in 0..1, as LAENeRF does."""
     return generator.random((count, 3)).astype(np.float32)
 
 
 def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
-    """[count, 3] centers of k-means over colors [n, 3], begun by k-means++ (Arthur and Vassilvitskii 2007).
+    """Return the centers [count, 3] of k-means over colors [n, 3], seeded by k-means++ (Arthur and Vassilvitskii 2007).
 
-    A cluster left empty keeps its center. Ordered by size, the largest first.
+    Empty clusters keep their centers. Sorted by size, the largest first.
     """
     colors = np.asarray(colors, np.float64)
     centers = colors[generator.integers(len(colors))][None]

@@ -1,4 +1,4 @@
-"""A palette module on a GPU: its hash table by the hash kernels, its networks by torch."""
+"""A palette module on a GPU: the hash table by our kernels, the networks by torch."""
 
 import numpy as np
 import torch
@@ -11,9 +11,11 @@ from stylerf.kernels.gpu import launch_edit
 
 
 class GpuPaletteModule:
-    """The module's numbers copied to `device`. What is asked is answered as PaletteModule does, to rounding.
+    """A copy of a module on `device`; results equal PaletteModule's up to rounding.
 
-    table, networks: the encoding's values and the module's, as tensors that may be taught. module: where they are from.
+    Attributes:
+        module: The original.
+        table, networks: Trainable copies of the encoding's values and of the module's.
     """
 
     def __init__(self, module: PaletteModule, device: torch.device | str) -> None:
@@ -26,46 +28,47 @@ class GpuPaletteModule:
         self.take_up()
 
     def take_up(self) -> None:
-        """The module's numbers as they stand on the host."""
+        """Copy the module's values to the device."""
         self.table = torch.from_numpy(self.module.encoding.values).to(self.device, copy=True)
         self.networks = torch.from_numpy(self.module.values).to(self.device, copy=True)
 
     def collect(self) -> None:
-        """Bring what was learned into the module's own arrays."""
+        """Copy the trained values back to the module."""
         self.module.encoding.values[:] = self.table.cpu().numpy()
         self.module.values[:] = self.networks.cpu().numpy()
 
     @property
     def kept(self) -> Tensor:
-        """Numbers of the active colors."""
+        """Indices of the active colors."""
         active = self.module.active.tobytes()
         if self._known[0] != active:
             self._known = active, torch.from_numpy(np.flatnonzero(self.module.active)).to(self.device)
         return self._known[1]
 
     def local(self, x: Tensor) -> Tensor:
-        """As PaletteModule.local."""
+        """Map cube points [n, 3] to the box, 0..1."""
         return ((x - self._low) / self._size).clamp(0, 1)
 
     def features(self, x: Tensor, to: Tensor) -> Tensor:
-        """phi [n, 4 levels] of places in the box [n, 3] as part of a graph: its backward adds dL/d(table) to `to`."""
-        return _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
+        """Encode points of the box [n, 3] differentiably, [n, 4 levels]; backward adds dL/d(table) to `to`."""
+        phi: Tensor = _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
+        return phi
 
-    # -- what is asked ----------------------------------------------------------------------------------------------
+    # -- evaluation --------------------------------------------------------------------------------------------------
 
     @property
     def active(self) -> np.ndarray:
-        """Which colors are."""
+        """The active colors, [colors] bool."""
         return self.module.active
 
     @property
     def palette(self) -> np.ndarray:
-        """As PaletteModule.palette."""
+        """The active colors [A, 3], sRGB 0..1."""
         return self.networks[: 3 * len(self.active)].view(-1, 3)[self.kept].clamp(0, 1).cpu().numpy()
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
-        """As PaletteModule.mixture, on the host; chunks are not used."""
+        """Evaluate as PaletteModule.mixture does; the result is on the CPU. `chunks` is ignored."""
         parts = []
         for at in range(0, max(1, len(x)), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -76,19 +79,19 @@ class GpuPaletteModule:
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colors")))
 
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        """As PaletteModule.weights."""
-        return self.mixture(x, np.tile(np.float32([0, 0, 1]), (len(x), 1))).weights.numpy()
+        """Return the weights [n, A] float32 at cube points [n, 3]."""
+        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1))).weights.numpy()
 
     def colors(
         self, x: np.ndarray, directions: np.ndarray, edits: PaletteEdits | None = None,
         transition: np.ndarray | None = None, chunks: int = 1,
     ) -> np.ndarray:  # fmt: skip
-        """As PaletteModule.colors; edits are those of the numbers on the host."""
+        """Return what PaletteModule.colors does; edits apply to the values on the host."""
         return self.module.edited(self.mixture(x, directions), edits, transition)
 
 
 class _Encode(torch.autograd.Function):
-    """The table's gradient goes to the buffer that its optimizer clears, as in fields/hash_encoding.py."""
+    """Adds the table's gradient to the optimizer's buffer, as fields/hash_encoding.py does."""
 
     @staticmethod
     def forward(context, hook: Tensor, palette: GpuPaletteModule, x: Tensor, to: Tensor) -> Tensor:

@@ -1,6 +1,7 @@
-"""What a palette module came to on its views: shares of its colors, which of them stay, and its figures."""
+"""Mean weights of a palette module's colors on its views, pruning of colors, and metrics."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -8,26 +9,32 @@ from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_losses import sparsity, weight_variation
 from stylerf.editing.palette_module import PaletteModule
 
-LEAST_SHARE = 0.025  # of the weights: a color with less is removed (LAENeRF, supplement 1.2)
-ASKED_VIEWS = 10
+LEAST_SHARE = 0.025  # mean weight below which a color is pruned (LAENeRF, supplement 1.2)
+SAMPLED_VIEWS = 10
 
 
 def some_of(views: list[EditView]) -> list[EditView]:
-    """Up to ASKED_VIEWS of the views, evenly. LAENeRF draws ten with replacement, which may be ten times one."""
+    """Return up to SAMPLED_VIEWS views, evenly spaced (LAENeRF draws ten with replacement)."""
     count = len(views)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, ASKED_VIEWS)).round().astype(int))
+    chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED_VIEWS)).round().astype(int))
     return [views[at] for at in chosen]
 
 
 def shares_of(module: PaletteModule, views: list[EditView], chunks: int) -> np.ndarray:
-    """[A] mean weight of each active color: over the pixels of a view, then over up to ASKED_VIEWS views."""
-    return np.mean([module.weights(view.x, chunks).mean(0) for view in some_of(views)], 0)
+    """Return the mean weight [A] of each active color, over the pixels of a view and then over sampled views."""
+    return np.asarray(np.mean([module.weights(view.x, chunks).mean(0) for view in some_of(views)], 0))
 
 
 def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray:
-    """Which colors stay active, bool as `active`: of LEAST_SHARE or more, the `most` largest, and at least one.
+    """Choose the colors that stay active: the `most` largest of at least LEAST_SHARE, and at least one.
 
-    shares: [A] of the active ones.
+    Args:
+        active: [colors] bool.
+        shares: [A], mean weights of the active colors.
+        most: Largest number of colors.
+
+    Returns:
+        [colors] bool.
     """
     order = np.argsort(-shares, kind="stable")
     chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
@@ -36,10 +43,12 @@ def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray
     return out
 
 
-def figures_of(module: PaletteModule, views: list[EditView], chunks: int) -> dict:
-    """JSON: colors and their shares, sparsity L_sp, palette TV, and PSNR in dB of the region's pixels against the
-    photos, on up to ASKED_VIEWS views."""
-    errors, sparse, varied, shares, pixels = 0.0, [], [], [], 0
+def figures_of(module: PaletteModule, views: list[EditView], chunks: int) -> dict[str, Any]:
+    """Return metrics on sampled views as JSON: colors, mean weights, sparsity L_sp, palette TV, and PSNR (dB)."""
+    errors, pixels = 0.0, 0
+    sparse: list[float] = []
+    varied: list[float] = []
+    shares: list[np.ndarray] = []
     for view in some_of(views):
         mixture = module.mixture(view.x, view.directions, chunks)
         weights = mixture.weights.numpy()

@@ -1,10 +1,11 @@
-"""Selecting a region in 3D: seeds from pixels, boxes, masks and colors, and what they may grow through."""
+"""Selection of a region in 3D: seeds from pixels, boxes, masks and colors, and the cells that it may grow through."""
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
 from skimage.color import rgb2lab
 
@@ -16,20 +17,23 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
-LIGHT = 0.5  # of a difference in lightness counts: one thing lies in light and in shadow
-SEEN = 0.05  # summed weight from which a cell is known to be seen
-INHERIT = 2.0  # cells that a color reaches beyond the cells that are seen, into what is solid
-MOST_RAYS = 1 << 16  # of a view that is looked at; cells are wider than a pixel, and many views see each
-SHARE = 0.02  # part of its ray's largest weight that a sample needs to be looked at
+LIGHT = 0.5  # factor of lightness differences: an object may be partly in shadow
+SEEN = 0.05  # summed weight from which a cell counts as seen
+INHERIT = 2.0  # cells that a color extends beyond the seen ones, into solid ones
+MOST_RAYS = 1 << 16  # of a view; cells are larger than pixels, and many views see each
+SHARE = 0.02  # samples of less than this fraction of their ray's largest weight are ignored
 CLAIM_REACH = 2  # cells
 EVERYWHERE = np.ones((3, 3, 3), bool)
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """A view as a selection looks at it: what its rays end in, and the photo's sRGB colors there [rays, 3].
+    """A subsampled view for selection.
 
-    stride: every stride-th pixel of every stride-th row has a ray.
+    Attributes:
+        surface: Where its rays end.
+        colors: The photo's sRGB colors [rays, 3].
+        stride: Pixels between rays, in both directions.
     """
 
     surface: PackedSurface
@@ -38,19 +42,19 @@ class Look:
 
     @staticmethod
     def at(field: RadianceField, camera: Camera, photo: np.ndarray, chunks: int) -> "Look":
-        """A view and its photo [h, w, 3], of which at most about MOST_RAYS pixels are looked at."""
+        """March about MOST_RAYS rays of a view with its photo [h, w, 3]."""
         stride = math.ceil(math.sqrt(camera.height * camera.width / MOST_RAYS))
         surface = surface_of(field, camera, SHARE, chunks, stride=stride)
         colors = np.ascontiguousarray(photo[::stride, ::stride].reshape(-1, 3), np.float32)
         return Look(surface, colors, stride)
 
     def add(self, values: np.ndarray, cells: int, to: np.ndarray) -> None:
-        """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
+        """Add sum w (values, 1) of rays with values [rays, m] to their samples' cells in `to` [cells^3, m + 1]."""
         starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
         add_to_cells(values, cells, x, weights, starts, ends, to)
 
     def share_inside(self, marked: np.ndarray, chunks: int) -> np.ndarray:
-        """[rays, 1]: part of each ray's opacity that lies in marked cells [s, s, s]."""
+        """Return the fraction of each ray's opacity inside marked cells [s, s, s], [rays, 1]."""
         starts, ends, x, weights = self.surface.samples(np.arange(self.surface.alpha.size))
         inside, flat = np.empty(len(starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
         weights_inside(flat, marked.shape[0], x, weights, starts, ends, chunks, inside)
@@ -58,11 +62,13 @@ class Look:
 
 
 class SeenCells:
-    """What views see in the cells of a cube: how much, and in which mean color.
+    """Visibility and mean color of the cells of a cube.
 
-    weight: [s, s, s] summed weights of the samples in a cell. lab: [s, s, s, 3] CIELAB of the photos' mean color
-    there, its lightness halved; cells that are not seen have that of the nearest seen one up to INHERIT cells away,
-    others nan. known: [s, s, s] which have one.
+    Attributes:
+        weight: [s, s, s] summed weights of the samples in each cell.
+        lab: [s, s, s, 3] CIELAB of the photos' mean color, with halved lightness; unseen cells take the nearest seen
+            one's within INHERIT cells, others are NaN.
+        known: [s, s, s] cells with a color.
     """
 
     def __init__(self, looks: Iterable[Look], cells: int) -> None:
@@ -81,36 +87,36 @@ class SeenCells:
         self.lab, self.seen, self.known = lab, seen, seen | near
 
     def like(self, colors: np.ndarray, tolerance: float) -> np.ndarray:
-        """[s, s, s] bool: cells whose color is within `tolerance` of any of the Lab colors [n, 3]."""
+        """Mark cells whose color is within `tolerance` of any of the Lab colors [n, 3]; [s, s, s] bool."""
         out = np.zeros(self.known.shape, bool)
         out[self.known] = self._apart(colors) <= tolerance
         return out
 
     def nearer(self, these: np.ndarray, those: np.ndarray) -> np.ndarray:
-        """[s, s, s] bool: cells whose color is nearer to one of `these` Lab colors [n, 3] than to any of `those`."""
+        """Mark cells whose color is nearer to one of `these` Lab colors [n, 3] than to `those`; [s, s, s] bool."""
         out = np.zeros(self.known.shape, bool)
         out[self.known] = self._apart(these) < self._apart(those)
         return out
 
     def _apart(self, colors: np.ndarray) -> np.ndarray:
-        """Of known cells, the distance to the nearest of colors [n, 3]; infinite for none."""
+        """Return the distance of known cells to the nearest of colors [n, 3]; infinite without colors."""
         own = self.lab[self.known]
         squares = np.full(len(own), np.inf, np.float32)
         for color in colors.astype(np.float32):
             off = own - color
             squares = np.minimum(squares, np.einsum("ij,ij->i", off, off))
-        return np.sqrt(squares)
+        return np.asarray(np.sqrt(squares))
 
 
 def halved_light(srgb: np.ndarray) -> np.ndarray:
-    """CIELAB (D65) of sRGB colors [n, 3] in 0..1, L times LIGHT: Euclidean distances count light the less."""
+    """Convert sRGB colors [n, 3], 0..1, to CIELAB (D65) with L times LIGHT, to weight lightness less in distances."""
     lab = rgb2lab(np.clip(srgb, 0, 1).reshape(-1, 1, 3)).reshape(-1, 3)
     lab[:, 0] *= LIGHT
     return lab.astype(np.float32)
 
 
 def modes(lab: np.ndarray, apart: float) -> np.ndarray:
-    """Few Lab colors [m, 3] such that each of [n, 3] is within `apart` of one: taken greedily, in order."""
+    """Choose Lab colors [m, 3] greedily, in order, so that each of [n, 3] is within `apart` of one."""
     found: list[np.ndarray] = []
     left = lab[np.isfinite(lab).all(1)]
     while len(left) and len(found) < 64:
@@ -120,7 +126,7 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
 
 
 def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunks: int) -> tuple[np.ndarray, ...]:
-    """(x [n, 3] in the cube, alpha [n]) where the rays of pixels end: the means of their samples, by weight."""
+    """Return where the rays of pixels end, as weighted means of their samples: x [n, 3] in the cube, and alpha [n]."""
     origins, directions = camera.rays(pixels)
     s = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, chunks)
     out = np.empty((len(pixels), 6), np.float32)
@@ -128,30 +134,30 @@ def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunk
     return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]
 
 
-def inside_box(space: SpaceWarp, cells: int, low, high) -> np.ndarray:
-    """[cells, cells, cells] bool: cells whose center lies in a box of scene units."""
+def inside_box(space: SpaceWarp, cells: int, low: ArrayLike, high: ArrayLike) -> np.ndarray:
+    """Mark cells whose center is in a box, scene units; [cells, cells, cells] bool."""
     centers = space.unwarp(centers_of(cells))
     inside = ((centers >= np.minimum(low, high)) & (centers <= np.maximum(low, high))).all(1)
     return inside.reshape((cells,) * 3)
 
 
-def inside_sphere(space: SpaceWarp, cells: int, center, radius: float) -> np.ndarray:
-    """[cells, cells, cells] bool: cells whose center lies in a sphere of scene units."""
+def inside_sphere(space: SpaceWarp, cells: int, center: ArrayLike, radius: float) -> np.ndarray:
+    """Mark cells whose center is in a sphere, scene units; [cells, cells, cells] bool."""
     away = np.linalg.norm(space.unwarp(centers_of(cells)) - np.asarray(center), axis=1)
-    return (away <= radius).reshape((cells,) * 3)
+    return np.asarray(away <= radius).reshape((cells,) * 3)
 
 
 def centers_of(cells: int) -> np.ndarray:
-    """[cells^3, 3]: centers of all cells, in the cube."""
-    return (np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1) + 0.5) / cells
+    """Return the centers of all cells in the cube, [cells^3, 3]."""
+    return np.asarray((np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1) + 0.5) / cells)
 
 
 def shown_by_masks(
     field: RadianceField, cameras: list[Camera], masks: list[np.ndarray], cells: int, chunks: int
 ) -> np.ndarray:
-    """[cells, cells, cells] bool: cells of which the views, where they see them, have more than half inside the masks.
+    """Mark cells that are, where views see them, more than half inside the masks; [cells, cells, cells] bool.
 
-    masks: [h, w] in 0..1, one a camera.
+    masks: [h, w] in 0..1, one for each camera.
     """
     sums = np.zeros((cells**3, 2), np.float32)
     for camera, mask in zip(cameras, masks, strict=True):
@@ -162,11 +168,11 @@ def shown_by_masks(
 
 
 def claimed(looks: Iterable[Look], marked: np.ndarray, chunks: int) -> np.ndarray:
-    """The marked cells [s, s, s], and those around them that the views see as the same thing.
+    """Extend marked cells [s, s, s] by neighbors that the views see as part of the same surface.
 
-    A surface that a fit left soft is spread over cells before and behind those that growing found, which look like
-    whatever shines through. A cell within CLAIM_REACH is taken where the rays that see something in it have, by
-    weight, more than half of their opacity in marked cells; rays that see it without the region outvote those.
+    A soft surface extends in front of and behind the cells that growing found, where colors are mixed with what is
+    behind. A cell within CLAIM_REACH is added if the rays that see it have, by weight, more than half of their opacity
+    in marked cells.
     """
     cells = marked.shape[0]
     sums = np.zeros((cells**3, 2), np.float32)
@@ -177,22 +183,22 @@ def claimed(looks: Iterable[Look], marked: np.ndarray, chunks: int) -> np.ndarra
 
 
 def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:
-    """[s, s, s] bool: cells of `among` within `width` cells of marked ones (corners count), but not marked."""
+    """Mark unmarked cells of `among` within `width` cells of marked ones, including diagonals; [s, s, s] bool."""
     if width < 1:
         return np.zeros_like(marked)
     return binary_dilation(marked, EVERYWHERE, iterations=width) & among & ~marked
 
 
 def filled(marked: np.ndarray, reach: int, among: np.ndarray) -> np.ndarray:
-    """The marked cells and those of `among` in gaps of up to twice `reach` cells between them: highlights, print."""
+    """Close gaps of up to twice `reach` cells, such as highlights and print, with cells of `among`."""
     if reach < 1:
         return marked
-    room = np.pad(marked, reach)  # a closing must not be cut off at the cube's border
+    room = np.pad(marked, reach)  # so that the closing is not cut off at the cube's border
     closed = binary_erosion(binary_dilation(room, EVERYWHERE, iterations=reach), EVERYWHERE, iterations=reach)
     inner = (slice(reach, -reach),) * 3
     return marked | (closed[inner] & among)
 
 
 def padded(marked: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """The marked cells and those that touch them, but for `others`: a surface is soft, and ends beside its cells."""
+    """Add all cells that touch marked ones, except `others`, since a soft surface extends beyond its cells."""
     return binary_dilation(marked, EVERYWHERE) & ~others

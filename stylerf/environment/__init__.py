@@ -1,1 +1,1 @@
-"""What the process takes from its surroundings, and what it refuses to take."""
+"""Protects the process from its surroundings: untrusted files, the current folder, configuration of libraries."""

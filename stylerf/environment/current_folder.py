@@ -1,4 +1,4 @@
-"""The current folder, which may hold files of strangers: libraries that look there for configuration find none."""
+"""Changes the current folder for a moment, since libraries read configuration from it that anybody may have written."""
 
 import os
 from collections.abc import Iterator
@@ -8,10 +8,10 @@ from pathlib import Path
 
 @contextmanager
 def current_folder(folder: Path) -> Iterator[None]:
-    """Makes `folder` the current one for a moment: for imports alone, since it is that of every thread.
+    """Make `folder` the current one inside the block. Affects all threads, so use it for imports only.
 
-    The old one is held open, not named: it may have been renamed or deleted. Windows, which can only name it, lets
-    nobody do that to a current folder.
+    The previous folder is held open rather than remembered by name, since it may be renamed or deleted.
+    Windows can only go back by name, but lets nobody rename or delete a current folder.
     """
     if not hasattr(os, "fchdir"):
         with chdir(folder):

@@ -1,7 +1,7 @@
-"""matplotlib with the settings that its package ships: charts look the same everywhere.
+"""matplotlib with the settings of its own package, so that charts look the same everywhere.
 
-Left alone it reads a `matplotlibrc` in the current folder, or the user's: one line there, `text.usetex`, runs latex.
-All of matplotlib is imported through this module.
+By default it reads a `matplotlibrc` in the current folder, or the user's, in which `text.usetex` would even run latex.
+Import matplotlib through this module only.
 """
 
 from importlib.util import find_spec
@@ -9,7 +9,10 @@ from pathlib import Path
 
 from stylerf.environment.current_folder import current_folder
 
-with current_folder(Path(find_spec("matplotlib").origin).parent / "mpl-data"):  # which holds the default matplotlibrc
+_found = find_spec("matplotlib")
+if _found is None or _found.origin is None:
+    raise ImportError("matplotlib is not installed")
+with current_folder(Path(_found.origin).parent / "mpl-data"):  # holds the default matplotlibrc
     import matplotlib
     from matplotlib import colormaps, rc_context
     from matplotlib.axes import Axes

@@ -1,1 +1,1 @@
-"""Cameras, rays, warps and camera paths."""
+"""Cameras, rays, space warps and camera paths."""

@@ -1,4 +1,4 @@
-"""Camera paths: frame i of n is a function of the scene's cameras, i and n alone, so shards of a job agree."""
+"""Camera paths. Frame i of n depends only on the scene's cameras, i and n, so parts of a job can be rendered apart."""
 
 from dataclasses import replace
 
@@ -11,12 +11,17 @@ PATHS = ("orbit", "spiral", "interpolate")
 
 
 def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_depth: float) -> Camera:
-    """Camera `index` of `count` on a path of `kind` through the space that `cameras` were in.
+    """Return camera `index` of `count` on a path near the scene's cameras.
 
-    focus_depth: distance in front of the average camera at which a spiral looks, scene units.
+    Args:
+        kind: One of PATHS.
+        cameras: The scene's cameras.
+        index: Frame, 0 to count - 1.
+        count: Number of frames.
+        focus_depth: Distance from the average camera to the point that a spiral looks at, scene units.
     """
     if not cameras:
-        raise InvalidValue("a camera path needs the scene's cameras to follow")
+        raise InvalidValue("a camera path needs the scene's cameras; there are none")
     if kind == "orbit":
         pose = _orbit_pose(cameras, index / count)
     elif kind == "spiral":
@@ -29,7 +34,7 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
 
 
 def look_at(center: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """World-from-camera [4, 4] (x right, y down, z forward) at `center` looking at `target`, `up` towards the top."""
+    """Return the pose [4, 4] (x right, y down, z forward) at `center` that looks at `target` with `up` at the top."""
     forward = _unit(target - center)
     right = _unit(np.cross(forward, up))
     pose = np.eye(4)
@@ -38,7 +43,7 @@ def look_at(center: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarra
 
 
 def focus_point(cameras: list[Camera]) -> np.ndarray:
-    """The point nearest to all viewing axes in least squares, [3]; with parallel axes, one ahead of the average."""
+    """Return the least-squares intersection of all viewing axes, [3]; for parallel axes, near the cameras' mean."""
     centers = np.array([c.center for c in cameras])
     axes = np.array([c.forward for c in cameras])
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -48,14 +53,14 @@ def focus_point(cameras: list[Camera]) -> np.ndarray:
 
 
 def average_up(cameras: list[Camera]) -> np.ndarray:
-    """Unit vector towards the top of the pictures on average, [3]."""
+    """Return the mean up direction of the images, a unit vector [3]."""
     return _unit(-np.array([c.world_from_camera[:3, 1] for c in cameras]).mean(0))
 
 
 def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """A closed ellipse over the angles that the cameras cover, at their height and distance, looking at the focus.
+    """Orbit the focus at the cameras' height and distance.
 
-    Cameras all around give a full turn; cameras on an arc give a swing along it and back.
+    A full circle if the cameras surround the focus, else a swing along their arc and back.
     """
     focus, up = focus_point(cameras), average_up(cameras)
     offsets = np.array([c.center for c in cameras]) - focus
@@ -82,7 +87,7 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
 
 
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
-    """Two turns of an ellipse in the plane of the cameras, as wide as most, looking at a common point (LLFF)."""
+    """Make two turns of an ellipse in the plane of the cameras, as wide as 80 % of them, around one point (LLFF)."""
     poses = np.array([c.world_from_camera for c in cameras])
     center, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
     base = look_at(center, center + forward, up)
@@ -94,7 +99,7 @@ def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.
 
 
 def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """Through the cameras by nearest neighbors: centers by Catmull-Rom, rotations by spherical interpolation."""
+    """Pass through all cameras, from neighbor to neighbor: Catmull-Rom for centers, slerp for rotations."""
     from scipy.spatial.transform import Rotation, Slerp
 
     order = _tour(np.array([c.center for c in cameras]))
@@ -121,7 +126,7 @@ def _catmull_rom(p: np.ndarray, u: float) -> np.ndarray:
 
 
 def _tour(centers: np.ndarray) -> list[int]:
-    """Every camera once, each time the nearest not yet visited, from an outermost one."""
+    """Visit every camera once, always the nearest unvisited one, starting from an outermost one."""
     left = set(range(len(centers)))
     here = int(np.argmax(np.linalg.norm(centers - centers.mean(0), axis=1)))
     order = [here]
@@ -136,5 +141,5 @@ def _tour(centers: np.ndarray) -> list[int]:
 def _unit(vector: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vector)
     if length < 1e-12:
-        raise InvalidValue("a direction of no length: cameras coincide or look against each other")
+        raise InvalidValue("a direction has no length: cameras coincide or face each other")
     return vector / length

@@ -1,7 +1,7 @@
-"""Pinhole cameras: the one convention every source is brought to.
+"""Pinhole cameras, in the convention that all sources are converted to.
 
 Axes are OpenCV's and COLMAP's: x right, y down, z forward. `world_from_camera` maps camera points to world points.
-Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x, y, z) falls on
+Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x, y, z) projects to
 (fx x/z + cx, fy y/z + cy).
 """
 
@@ -19,8 +19,10 @@ LEAST_FOCAL = 1e-3  # pixels
 class Camera:
     """One pinhole camera.
 
-    width, height: pixels. fx, fy, cx, cy: pixels. world_from_camera: [4, 4] float64, rotation and translation in
-    scene units.
+    Attributes:
+        width, height: Pixels.
+        fx, fy, cx, cy: Pixels.
+        world_from_camera: [4, 4] float64, rotation and translation, scene units.
     """
 
     name: str
@@ -43,12 +45,12 @@ class Camera:
             raise InvalidValue(f"camera {self.name}: the last row of its pose is not 0 0 0 1; is it transposed?")
         if not (self.fx > 0 and self.fy > 0 and np.isfinite([self.fx, self.fy, self.cx, self.cy]).all()):
             raise InvalidValue(f"camera {self.name}: focal length {self.fx:g} x {self.fy:g} is not positive")
-        # Rays are of float32: beyond these, their origins or what they are divided by would be infinite.
+        # Rays are float32: beyond these limits their origins or directions would overflow.
         far = max(abs(self.cx), abs(self.cy), self.fx, self.fy, np.abs(pose[:3, 3]).max())
         if far > LARGEST or min(self.fx, self.fy) < LEAST_FOCAL:
             raise InvalidValue(
-                f"camera {self.name}: its place, focal length or center is over {LARGEST:g}, or its focal length "
-                f"under {LEAST_FOCAL:g} pixels"
+                f"camera {self.name}: its position, focal length or principal point exceeds {LARGEST:g}, or its focal "
+                f"length is under {LEAST_FOCAL:g} pixels"
             )
         if self.width < 1 or self.height < 1:
             raise InvalidValue(f"camera {self.name}: size {self.width}x{self.height} is empty")
@@ -56,21 +58,21 @@ class Camera:
 
     @property
     def center(self) -> np.ndarray:
-        """Camera center in the world, [3], scene units."""
+        """Camera center in world coordinates, [3], scene units."""
         return self.world_from_camera[:3, 3]
 
     @property
     def forward(self) -> np.ndarray:
-        """Unit viewing axis in the world, [3]."""
+        """Unit viewing axis in world coordinates, [3]."""
         return self.world_from_camera[:3, 2]
 
     @property
     def camera_from_world(self) -> np.ndarray:
-        """[4, 4] inverse of the pose."""
+        """Inverse of the pose, [4, 4]."""
         return np.linalg.inv(self.world_from_camera)
 
     def scaled(self, factor: float) -> "Camera":
-        """The camera of the same view with both sides multiplied by `factor` (sizes rounded, never under 1)."""
+        """Return the camera of the same view resized by `factor`; sides are rounded and at least 1."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
         kx, ky = width / self.width, height / self.height
         return replace(
@@ -78,9 +80,13 @@ class Camera:
         )
 
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Origins and unit directions of pixel centers, [n, 3] each, float32, world.
+        """Return the rays through pixel centers.
 
-        pixels: row-major indices [n]; all of them, row by row, if None. A pixel's ray is the same either way.
+        Args:
+            pixels: Row-major indices [n]; None for all pixels, row by row. Both give the same bits.
+
+        Returns:
+            Origins and unit directions in world coordinates, [n, 3] float32 each.
         """
         rows, columns = np.divmod(np.arange(self.height * self.width) if pixels is None else pixels, self.width)
         x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
@@ -91,13 +97,13 @@ class Camera:
         return np.tile(self.center.astype(np.float32), (len(x), 1)), directions
 
     def ray_cosines(self) -> np.ndarray:
-        """Cosine between each pixel's ray and the viewing axis, [height, width] float32: Z = distance * cosine."""
+        """Return the cosine of each pixel's ray to the viewing axis, [height, width] float32: Z = distance * cosine."""
         rows, columns = np.meshgrid(np.arange(self.height) + 0.5, np.arange(self.width) + 0.5, indexing="ij")
         x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
         return (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World points [n, 3] -> pixel positions [n, 2] and planar depth [n] (not positive: behind the camera)."""
+        """Project world points [n, 3] to pixel positions [n, 2] and planar depth [n], <= 0 behind the camera."""
         local = (points - self.center) @ self.world_from_camera[:3, :3]
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
@@ -105,7 +111,7 @@ class Camera:
         return pixels, depth
 
     def unproject(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Pixel positions [n, 2] and planar depth [n] -> world points [n, 3]."""
+        """Map pixel positions [n, 2] and planar depth [n] to world points [n, 3]."""
         local = np.stack(
             [(pixels[:, 0] - self.cx) / self.fx * depth, (pixels[:, 1] - self.cy) / self.fy * depth, depth], axis=-1
         )

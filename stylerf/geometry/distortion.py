@@ -1,6 +1,6 @@
-"""Lens distortion: where a ray of the ideal pinhole falls on the real picture, and back.
+"""Lens distortion and its inverse.
 
-Points are (x, y) = (X/Z, Y/Z) before, and normalized image coordinates (u - cx)/fx, (v - cy)/fy after.
+Undistorted points are (x, y) = (X/Z, Y/Z); distorted ones are normalized image coordinates (u - cx)/fx, (v - cy)/fy.
 """
 
 from dataclasses import dataclass
@@ -10,16 +10,20 @@ import numpy as np
 from stylerf.errors import InvalidValue
 
 KINDS = ("brown", "fisheye")
-# A pinhole picture cannot show a half turn: a fisheye is cut at this slope (63 degrees off the axis).
+# A pinhole image cannot span 180 degrees: a fisheye is cropped at this slope, 63 degrees off the axis.
 WIDEST_SLOPE = 2.0
+
+Intrinsics = tuple[float, float, float, float]  # fx, fy, cx, cy
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """brown: x' = x N(r^2)/D(r^2) + 2 p1 x y + p2 (r^2 + 2 x^2), y' likewise with p1 and p2 swapped (Brown 1966,
-    OpenCV's model), N = 1 + sum radial[i] r^(2i+2), D = 1 + sum denominator[i] r^(2i+2).
+    """A lens model.
 
-    fisheye: x' = x theta'/r, theta = atan(r), theta' = theta (1 + sum radial[i] theta^(2i+2)) (Kannala-Brandt).
+    brown (Brown 1966, OpenCV's model): x' = x N(r^2)/D(r^2) + 2 p1 x y + p2 (r^2 + 2 x^2), y' likewise with p1 and p2
+    swapped, N = 1 + sum radial[i] r^(2i+2), D = 1 + sum denominator[i] r^(2i+2).
+
+    fisheye (Kannala-Brandt): x' = x theta'/r, theta = atan(r), theta' = theta (1 + sum radial[i] theta^(2i+2)).
     """
 
     kind: str = "brown"
@@ -35,11 +39,11 @@ class Distortion:
 
     @property
     def none(self) -> bool:
-        """Whether this is the pinhole itself."""
+        """Whether there is no distortion."""
         return self.kind == "brown" and not any((*self.radial, *self.tangential, *self.denominator))
 
     def distort(self, points: np.ndarray) -> np.ndarray:
-        """Pinhole points [..., 2] -> points on the picture [..., 2]."""
+        """Map undistorted points [..., 2] to distorted points [..., 2]."""
         x, y = points[..., 0], points[..., 1]
         squared = x * x + y * y
         if self.kind == "fisheye":
@@ -59,7 +63,7 @@ class Distortion:
         )
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
-        """Points on the picture [..., 2] -> pinhole points [..., 2], by Newton's method; NaN where there is none."""
+        """Map distorted points [..., 2] to undistorted points [..., 2] by Newton's method; NaN where that fails."""
         points = np.asarray(points, dtype=np.float64)
         found = self._fisheye_start(points) if self.kind == "fisheye" else points.copy()
         step = 1e-6
@@ -93,44 +97,48 @@ def _series(coefficients: tuple[float, ...], squared: np.ndarray) -> np.ndarray:
     return 1.0 + total
 
 
-def from_colmap(model: str, params: list[float]) -> tuple[tuple[float, float, float, float], Distortion]:
-    """COLMAP's camera model and parameters -> (fx, fy, cx, cy) and the distortion; InvalidValue for other models."""
+def from_colmap(model: str, params: list[float]) -> tuple[Intrinsics, Distortion]:
+    """Convert COLMAP's camera model and parameters to (fx, fy, cx, cy) and the distortion.
+
+    Raises:
+        InvalidValue: The model is unknown or the number of parameters wrong.
+    """
     shared = {"SIMPLE_PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 2,
               "SIMPLE_FISHEYE": 0}  # fmt: skip
     separate = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FISHEYE": 0}
     count = shared.get(model, separate.get(model))
     if count is None:
         known = ", ".join([*shared, *separate])
-        raise InvalidValue(
-            f"its camera model {model} is not known; undistort the pictures first, or use one of {known}"
-        )
+        raise InvalidValue(f"its camera model {model} is not known; undistort the images first, or use one of {known}")
     lead = 3 if model in shared else 4
     if len(params) != lead + count:
         raise InvalidValue(f"camera model {model} takes {lead + count} parameters, found {len(params)}")
-    f = [params[0], *params] if model in shared else list(params)
-    rest = tuple(float(value) for value in f[4:])
+    fx, fy, cx, cy = [params[0], *params[:3]] if model in shared else params[:4]
+    rest = tuple(float(value) for value in params[lead:])
     if model.endswith("FISHEYE"):
-        return tuple(f[:4]), Distortion("fisheye", rest)
+        return (fx, fy, cx, cy), Distortion("fisheye", rest)
     if model in separate and count:
-        return tuple(f[:4]), Distortion("brown", rest[:2] + rest[4:5], rest[2:4], rest[5:8])
-    return tuple(f[:4]), Distortion("brown", rest)
+        k1, k2, p1, p2, *more = rest
+        return (fx, fy, cx, cy), Distortion("brown", (k1, k2, *more[:1]), (p1, p2), tuple(more[1:4]))
+    return (fx, fy, cx, cy), Distortion("brown", rest)
 
 
-# A search that runs off to infinity ends in NaN, which is asked for below; numpy need not warn of it too.
+# Newton's method may diverge to NaN, which is checked below.
 @np.errstate(over="ignore", invalid="ignore")
-def pinhole_of(
-    size: tuple[int, int], intrinsics: tuple[float, float, float, float], distortion: Distortion
-) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of the pinhole of the same size (width, height) and shape of pixels that shows most of the picture
-    without a blank pixel.
+def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distortion) -> Intrinsics:
+    """Return the pinhole camera that shows most of a distorted image without blank pixels.
 
-    InvalidValue where the distortion folds the picture so that its edge has no counterpart.
+    It has the same size (width, height) and pixel aspect ratio.
+
+    Raises:
+        InvalidValue: The distortion folds the image, so that its edge cannot be undistorted.
     """
     if distortion.none:
         return intrinsics
     (width, height), (fx, fy, cx, cy) = size, intrinsics
     along = np.linspace(0.0, 1.0, 65)
-    lower, upper = [], []
+    lows: list[float] = []
+    highs: list[float] = []
     for axis, extent in ((0, (width, height)), (1, (height, width))):
         for far_side in (0, 1):
             edge = np.empty((65, 2))
@@ -141,13 +149,13 @@ def pinhole_of(
                 ideal = np.nan_to_num(ideal, nan=np.inf if far_side else -np.inf)
             if np.isnan(ideal).any():
                 raise InvalidValue(
-                    "its distortion coefficients fold the picture at its edge; check k1, k2, p1, p2, the focal length"
+                    "its distortion coefficients fold the image at its edge; check k1, k2, p1, p2, the focal length"
                 )
-            (upper if far_side else lower).append(ideal.min() if far_side else ideal.max())
-    lower, upper = np.maximum(lower, -WIDEST_SLOPE), np.minimum(upper, WIDEST_SLOPE)
-    if not (lower < upper).all():
-        raise InvalidValue("its distortion leaves no rectangle of the picture; check its coefficients")
-    # One scale: pixels keep the shape that they have on the sensor, and the longer way of the rectangle is cut.
+            (highs if far_side else lows).append(float(ideal.min() if far_side else ideal.max()))
+    lower, upper = np.maximum(lows, -WIDEST_SLOPE), np.minimum(highs, WIDEST_SLOPE)
+    if not np.all(lower < upper):
+        raise InvalidValue("its distortion leaves no rectangle of the image; check its coefficients")
+    # A single scale keeps the pixels' aspect ratio; the longer side of the rectangle is cropped.
     scale = max(width / (upper[0] - lower[0]) / fx, height / (upper[1] - lower[1]) / fy)
     fx, fy = scale * fx, scale * fy
     cx, cy = np.array([width, height]) / 2 - (lower + upper) / 2 * [fx, fy]
@@ -155,13 +163,13 @@ def pinhole_of(
 
 
 def source_positions(
-    size: tuple[int, int],
-    pinhole: tuple[float, float, float, float],
-    intrinsics: tuple[float, float, float, float],
-    distortion: Distortion,
+    size: tuple[int, int], pinhole: Intrinsics, intrinsics: Intrinsics, distortion: Distortion
 ) -> np.ndarray:
-    """For each pixel center of the pinhole picture, its position on the distorted one: [height, width, 2] float32,
-    pixel (i, j) having its center at (i + 0.5, j + 0.5)."""
+    """Return the position in the distorted image of each pixel center of the pinhole image.
+
+    Returns:
+        [height, width, 2] float32, in pixels; pixel (i, j) has its center at (i + 0.5, j + 0.5).
+    """
     width, height = size
     rows, columns = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
     ideal = np.stack([(columns - pinhole[2]) / pinhole[0], (rows - pinhole[3]) / pinhole[1]], axis=-1)

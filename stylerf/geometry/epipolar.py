@@ -1,15 +1,15 @@
-"""What two poses say about matched picture points, whatever the depth: the epipolar constraint and the parallax.
+"""Epipolar constraint and parallax of matched points in two views.
 
-Points are ideal pinhole points (x, y) = (X/Z, Y/Z). Poses are world_from_camera, OpenCV axes.
+Points are undistorted (x, y) = (X/Z, Y/Z). Poses are world_from_camera, OpenCV axes.
 """
 
 import numpy as np
 
 
 def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """E [3, 3] with x2^T E x1 = 0 for homogeneous points of two cameras with poses [4, 4]; t has length 1.
+    """Return the essential matrix E [3, 3] of two poses [4, 4]: x2^T E x1 = 0; the translation has length 1.
 
-    All zero where the cameras stand at one point: then any pair of points agrees.
+    All zero for cameras at the same position, where every pair of points is consistent.
     """
     second_from_first = np.linalg.inv(second) @ first
     rotation, shift = second_from_first[:3, :3], second_from_first[:3, 3]
@@ -18,9 +18,9 @@ def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def epipolar_distance(matrix: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Distance of matched points [n, 2] from each other's epipolar line, the larger of the two pictures, [n].
+    """Return the distance of matched points [n, 2] from each other's epipolar lines, the larger of both views, [n].
 
-    In units of the points: times the focal length it is pixels. 0 where the essential matrix is zero.
+    Multiply by the focal length for pixels. 0 if the essential matrix is zero.
     """
     one = np.concatenate([first, np.ones((len(first), 1))], axis=1)
     two = np.concatenate([second, np.ones((len(second), 1))], axis=1)
@@ -31,7 +31,7 @@ def epipolar_distance(matrix: np.ndarray, first: np.ndarray, second: np.ndarray)
 
 
 def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
-    """Largest angle in degrees between any two of the rays from camera centers [n, 3] to a point [3]."""
+    """Return the largest angle, in degrees, between two rays from camera centers [n, 3] to a point [3]."""
     rays = point - centers
     rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
     return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))

@@ -1,4 +1,4 @@
-"""How a capture is laid out, and the similarity and bounds that bring it to scene units.
+"""The layout of a capture, and the similarity and bounds that normalize it to scene units.
 
 Similarities are [4, 4] (scale * rotation | translation), scene_from_source. Poses are world_from_camera, OpenCV axes.
 """
@@ -10,73 +10,72 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 
-# Capture is forward-facing where 95 % of the viewing axes are this close (degrees) to their mean: LLFF's captures have
-# about 10, a walk around something has 50 and more.
+# A capture is forward-facing if 95 % of its viewing axes are within this angle, degrees, of their mean. LLFF's captures
+# have about 10, walks around an object 50 and more.
 FORWARD_SPREAD = 25.0
-# Near plane of a forward capture, as a share of the nearest depth told; 1 in scene units.
+# Near plane of a forward capture, as a fraction of the nearest known depth; becomes 1 scene unit.
 FORWARD_NEAR = 0.75
 UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
-# Centers this near to one another, as a share of their largest coordinate, differ by rounding alone: two steps of
-# single precision, in which many tools keep poses. About the origin: rounding of rotations in double precision.
+# Camera centers closer than this, relative to their largest coordinate, differ by rounding only: two steps of single
+# precision, in which many tools store poses. At the origin: rounding of rotations in double precision.
 ONE_POINT, ONE_POINT_AT_ORIGIN = 2.4e-7, 1e-12
-# Least baseline as a share of the nearest depth: a hundredth of a pixel of parallax at a focal length of 1,000 pixels.
+# Smallest baseline relative to the nearest depth: 0.01 pixels of parallax at a focal length of 1,000 pixels.
 LEAST_PARALLAX = 1e-5
 
 
 @dataclass(frozen=True)
 class Layout:
-    """object, forward or unbounded, and why in words."""
+    """A layout, `object`, `forward` or `unbounded`, and the reason as text."""
 
     name: str
     reason: str
 
 
 def axes_spread(poses: np.ndarray) -> float:
-    """Angle in degrees within which 95 % of the viewing axes lie about their mean."""
+    """Return the angle to the mean viewing axis that 95 % of the axes do not exceed, degrees."""
     forward = poses[:, :3, 2]
     mean = forward.sum(0) / max(np.linalg.norm(forward.sum(0)), 1e-12)
     return float(np.percentile(np.degrees(np.arccos(np.clip(forward @ mean, -1, 1))), 95))
 
 
 def decided_layout(poses: np.ndarray, cut_out: str) -> Layout:
-    """The layout of a capture. cut_out: in words, by what the object is told from its background; empty: by nothing."""
+    """Choose the layout of a capture. cut_out: what separates the object from the background, as text, or ""."""
     if cut_out:
         return Layout("object", f"the object is cut out by {cut_out}")
     spread = axes_spread(poses)
     if spread <= FORWARD_SPREAD:
-        return Layout("forward", f"the viewing axes lie within {spread:.0f} degrees of their mean")
+        return Layout("forward", f"the viewing axes are within {spread:.0f} degrees of their mean")
     return Layout(
         "unbounded", f"the viewing axes spread {spread:.0f} degrees about their mean and nothing cuts the object out"
     )
 
 
 def baseline_of(poses: np.ndarray) -> float:
-    """Largest distance of a camera from the middle of all; InvalidValue where all stand at one point."""
+    """Return the largest distance of a camera from their mean; InvalidValue if all cameras are at one point."""
     centers = poses[:, :3, 3]
     baseline = float(np.linalg.norm(centers - centers.mean(0), axis=1).max())
     largest = float(np.abs(centers).max())
     if not baseline > max(ONE_POINT * largest, ONE_POINT_AT_ORIGIN):
         raise InvalidValue(
-            f"all cameras stand at one point (within {baseline:.2g}, at coordinates up to {largest:.2g}): without a "
+            f"all cameras are at one point (within {baseline:.2g}, at coordinates up to {largest:.2g}): without a "
             "baseline there is no depth"
         )
     return baseline
 
 
 def check_baseline(poses: np.ndarray, near_far: np.ndarray | None, points: np.ndarray | None) -> None:
-    """InvalidValue where the cameras stand at one point, by themselves or against the depths told (nearest_depth)."""
+    """Raise InvalidValue if the cameras are at one point, exactly or relative to the nearest depth."""
     baseline, (nearest, known) = baseline_of(poses), nearest_depth(poses, near_far, points)
     if baseline < LEAST_PARALLAX * nearest:
         raise InvalidValue(
-            f"all cameras stand at one point: within {baseline:.3g}, where the nearest depth is {nearest:.3g} by "
-            f"{known}"
+            f"all cameras are at one point: within {baseline:.3g}, while the nearest depth is {nearest:.3g} by {known}"
         )
 
 
 def focus_of(poses: np.ndarray) -> np.ndarray:
-    """The point nearest (least squares) to all viewing axes, [3].
+    """Return the least-squares intersection of all viewing axes, [3].
 
-    Where the axes are near parallel it lies along the mean axis, at four times the spread of the centers.
+    For nearly parallel axes, the point on the mean axis at four times the spread of the centers.
     """
     centers, forward = poses[:, :3, 3], poses[:, :3, 2]
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [n, 3, 3]
@@ -91,9 +90,9 @@ def focus_of(poses: np.ndarray) -> np.ndarray:
 
 
 def up_of(poses: np.ndarray) -> np.ndarray:
-    """Unit vector upwards, [3]: what the cameras' horizontal axes are square to, as photographers hold them level.
+    """Return the up direction, a unit vector [3]: perpendicular to the cameras' x axes, as cameras are held level.
 
-    Where those axes all point one way, or cameras are rolled, the mean of the cameras' own up.
+    If these axes are all parallel, or cameras are rolled, the mean of the cameras' own up directions.
     """
     sideways, mean = poses[:, :3, 0], -poses[:, :3, 1].mean(0)
     values, vectors = np.linalg.eigh(sideways.T @ sideways / len(poses))
@@ -105,7 +104,7 @@ def up_of(poses: np.ndarray) -> np.ndarray:
 
 
 def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The least rotation [3, 3] that turns unit vector a into b."""
+    """Return the smallest rotation [3, 3] that turns unit vector a into b."""
     axis, cosine = np.cross(a, b), float(a @ b)
     if cosine < -1 + 1e-9:
         other = np.eye(3)[np.argmin(np.abs(a))]
@@ -116,7 +115,7 @@ def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def similarity(scale: float, rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """[4, 4] of x -> scale * rotation (x - center)."""
+    """Return the map x -> scale * rotation (x - center) as [4, 4]."""
     matrix = np.eye(4)
     matrix[:3, :3] = scale * rotation
     matrix[:3, 3] = -scale * rotation @ center
@@ -124,31 +123,33 @@ def similarity(scale: float, rotation: np.ndarray, center: np.ndarray) -> np.nda
 
 
 def moved(pose: np.ndarray, scene_from_source: np.ndarray) -> np.ndarray:
-    """A pose [4, 4] brought through a similarity: its center is moved and scaled, its rotation stays one."""
+    """Apply a similarity to a pose [4, 4]; its rotation stays a rotation."""
     scale = np.cbrt(np.linalg.det(scene_from_source[:3, :3]))
     out = scene_from_source @ pose
     out[:3, :3] /= scale
     return out
 
 
-def centerd(poses: np.ndarray) -> np.ndarray:
-    """For captures around something: focus at the origin, up = +z, median distance of the cameras to the focus 1."""
+def centered(poses: np.ndarray) -> np.ndarray:
+    """Normalize a capture around something: focus at the origin, up = +z, median camera distance 1."""
     focus = focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
     if distance <= ONE_POINT * baseline_of(poses):
-        raise InvalidValue("most cameras stand at the very point that they look at; check the convention of the poses")
+        raise InvalidValue("most cameras are at the very point that they look at; check the convention of the poses")
     return similarity(1 / distance, rotation_between(up_of(poses), np.array([0.0, 0.0, 1.0])), focus)
 
 
 def facing(poses: np.ndarray, nearest: float) -> np.ndarray:
-    """For forward captures: the average camera at the origin looks along +z, y down; the near plane, FORWARD_NEAR of
-    the nearest depth told, is at 1."""
+    """Normalize a forward-facing capture: the mean camera at the origin looks along +z, y down.
+
+    The near plane, at FORWARD_NEAR times the nearest depth, is at 1.
+    """
     forward = poses[:, :3, 2].mean(0)
     if np.linalg.norm(forward) < 1e-6:
         raise InvalidValue("the cameras look in opposite directions: no layout of forward-facing cameras fits them")
     forward /= np.linalg.norm(forward)
     right = np.cross(poses[:, :3, 1].mean(0), forward)
-    if np.linalg.norm(right) < 1e-6:  # cameras rolled all ways have no common downwards
+    if np.linalg.norm(right) < 1e-6:  # cameras rolled in all directions have no common down
         right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
@@ -156,21 +157,24 @@ def facing(poses: np.ndarray, nearest: float) -> np.ndarray:
 
 
 def nearest_depth(poses: np.ndarray, near_far: np.ndarray | None, points: np.ndarray | None) -> tuple[float, str]:
-    """Depth in source units before which a forward capture shows nothing, and in words where it is known from.
+    """Return the nearest depth that a forward capture shows, source units, and its origin as text.
 
-    near_far: [n, 2] planar depths told per camera; points: [m, 3] sparse points. Neither: from the baseline.
+    Args:
+        poses: [n, 4, 4].
+        near_far: [n, 2] planar depth bounds of each camera, if known.
+        points: [m, 3] sparse points, if known. Without either, the baseline is used.
     """
     if near_far is not None:
-        return float(near_far[:, 0].min()), "the depth bounds that the files tell"
+        return float(near_far[:, 0].min()), "the depth bounds in the files"
     if points is not None and len(points) >= 50:
         depths = np.concatenate([(points - pose[:3, 3]) @ pose[:3, 2] for pose in poses])
         if (depths > 0).mean() > 0.5:
             return float(np.percentile(depths[depths > 0], 0.5)), "the sparse points"
-    return baseline_of(poses), "the baseline of the cameras, for want of better"
+    return baseline_of(poses), "the baseline of the cameras"
 
 
 def frustum_box(cameras: list[Camera], near: float, far: float) -> np.ndarray:
-    """[2, 3] box of everything that forward cameras see between planar depths near and far."""
+    """Return the bounding box [2, 3] of everything that forward cameras see between planar depths near and far."""
     corners = []
     for camera in cameras:
         w, h = camera.width, camera.height
@@ -183,10 +187,10 @@ def frustum_box(cameras: list[Camera], near: float, far: float) -> np.ndarray:
 
 
 def depths_of_box(cameras: list[Camera], box: np.ndarray) -> tuple[float, float]:
-    """Planar depths between which all cameras see the box [2, 3]; near is at least a thousandth of far."""
+    """Return the planar depths (near, far) that enclose the box [2, 3] for all cameras; near is at least far / 1000."""
     corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     depths = np.concatenate([camera.project(corners)[1] for camera in cameras])
     far = float(depths.max())
     if far <= 0:
-        raise InvalidValue("the object lies behind every camera; check the convention of the poses")
+        raise InvalidValue("the object is behind every camera; check the convention of the poses")
     return max(float(depths.min()), far * 1e-3), far

@@ -1,13 +1,15 @@
-"""Warps of unbounded scene space to the unit cube that the fields live in.
+"""Warps of scene space to the unit cube in which fields are defined.
 
-box: an axis-aligned box, for objects. contraction: identity inside a box, all else drawn into a shell around it
-(Barron et al. 2022, eq. 10, in the maximum norm so that the cube is filled). frustum: normalized device coordinates of
-the average camera (Mildenhall et al. 2020, appendix C), for forward-facing captures.
+box: an axis-aligned box, for objects. contraction: linear inside a box, the rest of space contracted into a shell
+around it (Barron et al. 2022, eq. 10, with the maximum norm, which fills the cube). frustum: normalized device
+coordinates of the mean camera (Mildenhall et al. 2020, appendix C), for forward-facing captures.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
@@ -18,7 +20,13 @@ KINDS = ("box", "contraction", "frustum")
 
 @dataclass(frozen=True)
 class SpaceWarp:
-    """A warp: `kind` of KINDS; its float32 parameters as the kernels read them; marching bounds in scene units."""
+    """A warp.
+
+    Attributes:
+        kind: One of KINDS.
+        parameters: 7 floats, as the kernels read them.
+        near, far: Bounds of marching, scene units.
+    """
 
     kind: str
     parameters: tuple[float, ...]
@@ -30,15 +38,15 @@ class SpaceWarp:
             raise InvalidValue(f"space kind {self.kind!r} is none of {', '.join(KINDS)}")
         if not (0 <= self.near < self.far <= LARGEST and np.abs(self.parameters).max() <= LARGEST):
             raise InvalidValue(f"space: near {self.near:g}, far {self.far:g} or a parameter is out of range")
-        # What is divided by, in float32; of boxes the last is the mean of the three.
+        # Kernels divide by these in float32; the last parameter of a box is the mean of its three scales.
         divisors = self.parameters[:3] if self.kind == "frustum" else self.parameters[3:6]
         mean = 0.0 if self.kind == "frustum" else float(np.mean(divisors))
         if min(divisors) < 1 / LARGEST or not np.isclose(self.parameters[6], mean, rtol=1e-6):
-            raise InvalidValue(f"space: parameters {self.parameters} make no {self.kind}")
+            raise InvalidValue(f"space: parameters {self.parameters} do not describe a {self.kind}")
 
     @staticmethod
-    def box(low, high, near: float = 0.0, far: float = 1e6, kind: str = "box") -> "SpaceWarp":
-        """Box (or the uncontracted box of a contraction) between two corners, scene units."""
+    def box(low: ArrayLike, high: ArrayLike, near: float = 0.0, far: float = 1e6, kind: str = "box") -> "SpaceWarp":
+        """Return a box, or a contraction with this uncontracted box, between two corners, scene units."""
         low, high = np.asarray(low, float), np.asarray(high, float)
         if not (high > low).all():
             raise InvalidValue(f"box corners {low} and {high} do not span a volume")
@@ -52,27 +60,30 @@ class SpaceWarp:
 
     @staticmethod
     def frustum(half_width: float, half_height: float, near: float, far: float, parallax: float = 0.0) -> "SpaceWarp":
-        """Frustum along +z of the frame: |x| <= half_width z, |y| <= half_height z, z >= near.
+        """Return the frustum |x| <= half_width z, |y| <= half_height z, z >= near.
 
-        parallax: by how much views see the nearest point apart, against what is infinitely far, in the units of the
-        half sides (baseline / near): it tells how finely depth need be told apart. 0: as finely as the sides.
+        Args:
+            half_width, half_height: Half sides at z = 1.
+            near, far: Bounds of marching, scene units.
+            parallax: Parallax of the nearest point between views, baseline / near, which sets the resolution in depth;
+                0 for that of the sides.
         """
         values = half_width, half_height, near, parallax, 0.0, 0.0, 0.0
         return SpaceWarp("frustum", tuple(float(value) for value in values), near, far)
 
     @property
     def code(self) -> int:
-        """Number of the kind, as the kernels know it."""
+        """The kind's number in the kernels."""
         return KINDS.index(self.kind)
 
     def packed(self) -> np.ndarray:
-        """Parameters, [7] float32."""
+        """Return the parameters as [7] float32."""
         return np.asarray(self.parameters, dtype=np.float32)
 
     def cells_per_axis(self, resolution: int) -> np.ndarray:
-        """Vertices per axis, [3] int64, so that `resolution`^3 vertices are spread evenly over the sides.
+        """Return the number of vertices on each axis, [3] int64: `resolution`^3 in total, evenly spaced.
 
-        Those of a frustum are as views see them: its width, its height and the parallax of its nearest point.
+        The sides of a frustum are measured in the image: its width, its height and the nearest point's parallax.
         """
         if self.kind == "contraction" or (self.kind == "frustum" and self.parameters[3] <= 0):
             return np.full(3, resolution, dtype=np.int64)
@@ -86,7 +97,7 @@ class SpaceWarp:
         return np.maximum(8, np.round(sides)).astype(np.int64)
 
     def warp(self, points: np.ndarray) -> np.ndarray:
-        """World points [n, 3] to the unit cube, float64: the definition that the kernels are tested against."""
+        """Map world points [n, 3] to the unit cube in float64, as the reference for the kernels."""
         points = np.asarray(points, dtype=np.float64)
         p = self.parameters
         if self.kind == "frustum":
@@ -105,7 +116,7 @@ class SpaceWarp:
         return np.clip(0.5 + 0.25 * local * (2 - 1 / largest) / largest, 0, 1)
 
     def unwarp(self, cube: np.ndarray) -> np.ndarray:
-        """Inverse of `warp` inside the open cube: [n, 3] -> world points, float64."""
+        """Map points of the open unit cube [n, 3] to world points, float64: the inverse of `warp`."""
         cube = np.asarray(cube, dtype=np.float64)
         p = self.parameters
         if self.kind == "frustum":
@@ -119,12 +130,12 @@ class SpaceWarp:
         radius = np.where(largest > 1, 1 / np.maximum(2 - reach, 1e-9), largest)
         return np.asarray(p[:3]) + local / np.maximum(largest, 1e-12) * radius / np.asarray(p[3:6])
 
-    def describe(self) -> dict:
-        """JSON form."""
+    def describe(self) -> dict[str, Any]:
+        """Return the JSON form."""
         return {"kind": self.kind, "parameters": list(self.parameters), "near": self.near, "far": self.far}
 
     @staticmethod
-    def restore(data: dict) -> "SpaceWarp":
-        """From its JSON form."""
+    def restore(data: dict[str, Any]) -> "SpaceWarp":
+        """Rebuild a warp from its JSON form."""
         kind, parameters = validation.one_of(data, "kind", KINDS), tuple(validation.numbers(data, "parameters", 7))
         return SpaceWarp(kind, parameters, validation.number(data, "near"), validation.number(data, "far"))

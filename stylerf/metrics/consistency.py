@@ -1,7 +1,7 @@
-"""Do two views of one field tell the same story? One is warped onto the other by the field's own depth and poses.
+"""Consistency of two views of a field: one is warped to the other by the field's own depth and poses.
 
-For every pixel of the target view its surface point is found from the target's depth and projected into the source
-view, whose color is read there (backward warp). No optical flow is estimated, so no flow error is counted.
+The surface point of each target pixel, from the target's depth, is projected into the source view, whose color is read
+there (backward warping). No optical flow is estimated, so its errors do not count.
 """
 
 from collections.abc import Callable
@@ -17,10 +17,12 @@ PixelDistance = Callable[[np.ndarray, np.ndarray], np.ndarray]  # two [h, w, 3] 
 
 @dataclass(frozen=True, eq=False)
 class PosedView:
-    """What a field showed of one camera.
+    """A rendered view.
 
-    image: [h, w, 3] sRGB-encoded 0..1, composited on the background. alpha: [h, w] 0..1. z: [h, w] planar depth,
-    scene units (not looked at where alpha <= 0.5).
+    Attributes:
+        image: [h, w, 3] sRGB 0..1, composited on the background.
+        alpha: [h, w] 0..1.
+        z: [h, w] planar depth, scene units; ignored where alpha <= 0.5.
     """
 
     camera: Camera
@@ -39,9 +41,13 @@ class PosedView:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """rmse: sqrt of the mean squared difference over visible pixels and RGB. perceptual: mean of the given distance.
+    """The consistency of a pair of views.
 
-    share: visible pixels over the opaque pixels of the target. None where nothing is visible (or no distance given).
+    Attributes:
+        rmse: Root mean square difference over visible pixels and RGB; None if no pixel is visible.
+        perceptual: Mean of the perceptual distance; None without one.
+        share: Visible pixels divided by opaque pixels of the target.
+        pixels: Number of visible pixels.
     """
 
     rmse: float | None
@@ -53,12 +59,20 @@ class PairConsistency:
 def warp(
     source: PosedView, target: PosedView, tolerance: float = 0.02, erode: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The source's colors on the target's pixels, [h, w, 3], and where they can be trusted, bool [h, w].
+    """Warp the source view to the target view.
 
-    A target pixel is visible where its alpha is over 0.5, its point falls within the source's image, and at each of
-    the four source pixels around that place the alpha is over 0.5 and the source's depth is that of the point to
-    `tolerance` of it. Asking it of all four leaves out edges, where rendered depth blends two surfaces. The visible
-    area is then worn down by `erode` pixels. Colors are bilinear; where not visible they mean nothing.
+    A target pixel is visible if its alpha exceeds 0.5, its point projects into the source image, and each of the four
+    source pixels around the projection has an alpha over 0.5 and the point's depth, within the relative `tolerance`.
+    Requiring all four excludes edges, where rendered depth blends two surfaces.
+
+    Args:
+        source: The view that colors are read from, bilinearly.
+        target: The view that is warped to.
+        tolerance: Relative depth tolerance.
+        erode: Pixels by which the visible area is eroded.
+
+    Returns:
+        Colors [h, w, 3], undefined where not visible, and visibility [h, w] bool.
     """
     camera = target.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
@@ -69,7 +83,7 @@ def warp(
     corners, weights, inside = _bilinear(pixels, source.camera.width, source.camera.height)
     visible = opaque.reshape(-1) & inside & (z_in_source > 0)
     solid = ((source.alpha > 0.5) & np.isfinite(source.z)).reshape(-1)
-    source_z = np.where(solid, source.z.reshape(-1), np.inf)  # agrees with no depth
+    source_z = np.where(solid, source.z.reshape(-1), np.inf)  # matches no depth
     warped = np.zeros((len(points), 3))
     for corner, weight in zip(corners, weights, strict=True):
         visible &= np.abs(source_z[corner] - z_in_source) <= tolerance * np.abs(z_in_source)
@@ -86,17 +100,18 @@ def pair_consistency(
     erode: int = 1,
     within: np.ndarray | None = None,
 ) -> PairConsistency:
-    """Difference between the warped source and the target over the visible pixels.
+    """Compare the warped source to the target over the visible pixels.
 
-    within: bool [h, w], the pixels of the target that are asked about (None: all of them), of visible and opaque alike.
-
-    For `perceptual` the target's own colors are laid where nothing is visible, so that these places are equal in
-    both and only what leaks across the border through the distance's receptive field is shared.
+    Args:
+        source, target, tolerance, erode: As in `warp`.
+        perceptual: A distance map of two images. Invisible pixels are filled with the target's colors, so that only
+            receptive fields that cross the border see them.
+        within: [h, w] bool, pixels of the target to compare; None for all.
     """
     warped, visible = warp(source, target, tolerance, erode)
-    asked = np.ones_like(visible) if within is None else within
-    visible &= asked
-    opaque = int(((target.alpha > 0.5) & asked).sum())
+    selected = np.ones_like(visible) if within is None else within
+    visible &= selected
+    opaque = int(((target.alpha > 0.5) & selected).sum())
     count = int(visible.sum())
     if count == 0:
         return PairConsistency(None, None, 0.0, 0)
@@ -111,11 +126,11 @@ def pair_consistency(
 
 
 def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> float | None:
-    """Share of a view's surface points that the other view looks straight through: a sign of floaters.
+    """Return the fraction of a view's surface points that another view sees through, a sign of floaters.
 
-    A point counts when the other view is opaque around its place and all four depths there lie behind it by more
-    than `tolerance` of its depth. The share is of the points that fall on opaque pixels of the other view; None where
-    there are fewer than a hundred. Silhouettes, whose depth blends two surfaces, keep it slightly above zero.
+    Only points that project to opaque pixels of the other view count; None for fewer than a hundred. A point is seen
+    through if all four depths around its projection exceed its own by more than the relative `tolerance`. Silhouettes,
+    where rendered depth blends two surfaces, keep the result slightly above zero.
     """
     camera = view.camera
     rows, columns = np.nonzero((view.alpha > 0.5) & np.isfinite(view.z) & (view.z > 0))
@@ -132,11 +147,11 @@ def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> 
 
 
 def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Flat indices [4, n] and weights [4, n] of the pixels around positions [n, 2], and which lie inside, [n].
+    """Return flat indices [4, n] and bilinear weights [4, n] of the pixels around positions [n, 2], and validity [n].
 
-    Inside means between the centers of the outermost pixels: no color is extrapolated.
+    Positions are valid between the centers of the outermost pixels, so no color is extrapolated.
     """
-    slack = 1e-6  # a pixel that maps onto the border itself must not fall out by rounding
+    slack = 1e-6  # keeps a pixel that maps onto the border from falling outside by rounding
     with np.errstate(invalid="ignore"):
         x, y = pixels[:, 0] - 0.5, pixels[:, 1] - 0.5
         inside = (x >= -slack) & (y >= -slack) & (x <= width - 1 + slack) & (y <= height - 1 + slack)
@@ -150,7 +165,7 @@ def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, 
 
 
 def _eroded(mask: np.ndarray, steps: int) -> np.ndarray:
-    """The mask without pixels that touch, by one of four sides, a pixel outside it; `steps` times. Borders stay."""
+    """Erode a mask by 4-neighborhoods, `steps` times; the image border does not erode it."""
     for _ in range(steps):
         padded = np.pad(mask, 1, constant_values=True)
         mask = mask & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]

@@ -1,4 +1,4 @@
-"""Errors of a rendered depth against the true one."""
+"""Errors of rendered depth against ground truth."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,15 @@ from stylerf.errors import InvalidValue
 
 @dataclass(frozen=True)
 class DepthErrors:
-    """Errors over the compared pixels; None where there was none to compare.
+    """Errors over the compared pixels; None if there are none.
 
-    abs_rel: mean |z - z*| / z*. rmse: sqrt(mean (z - z*)^2), scene units. delta: share of pixels with
-    max(z/z*, z*/z) < 1.25. in_front: share of pixels whose depth falls short of the truth by more than a tenth of it
-    (a haze or a floater before the surface). share: compared pixels over pixels that have a true depth.
+    Attributes:
+        abs_rel: Mean |z - z*| / z*.
+        rmse: sqrt(mean (z - z*)^2), scene units.
+        delta: Fraction of pixels with max(z/z*, z*/z) < 1.25.
+        in_front: Fraction of pixels with z < 0.9 z*: haze or floaters in front of the surface.
+        share: Compared pixels divided by pixels with ground truth.
+        pixels: Number of compared pixels.
     """
 
     abs_rel: float | None
@@ -25,13 +29,15 @@ class DepthErrors:
 
 
 def depth_errors(z: np.ndarray, alpha: np.ndarray, truth: np.ndarray, far: float = 1e9) -> DepthErrors:
-    """Compare planar depth `z` with `truth`, both [h, w] scene units, where alpha > 0.5 and the truth is a surface.
+    """Compare planar depth `z` to `truth`, both [h, w] in scene units, where alpha > 0.5 and the truth is a surface.
 
-    The truth is a surface where it is finite, positive and below `far` (a file's constant for "nothing there").
-    Raises InvalidValue when a compared depth is not finite.
+    The truth is a surface where it is finite, positive and below `far`, which files use for empty pixels.
+
+    Raises:
+        InvalidValue: Sizes differ or a compared depth is not finite.
     """
     if not z.shape == alpha.shape == truth.shape:
-        raise InvalidValue(f"depth {z.shape}, alpha {alpha.shape} and truth {truth.shape} are not of one size")
+        raise InvalidValue(f"depth {z.shape}, alpha {alpha.shape} and truth {truth.shape} differ in size")
     known = np.isfinite(truth) & (truth > 0) & (truth < far)
     compared = known & (alpha > 0.5)
     count, total = int(compared.sum()), int(known.sum())
@@ -54,9 +60,9 @@ def depth_errors(z: np.ndarray, alpha: np.ndarray, truth: np.ndarray, far: float
 
 
 def shape_change(z: np.ndarray, alpha: np.ndarray, z_base: np.ndarray, alpha_base: np.ndarray) -> float | None:
-    """Mean |z - z_base| / z_base where both are opaque (alpha > 0.5): how far a stylized surface left its origin.
+    """Return the mean |z - z_base| / z_base where both are opaque (alpha > 0.5): how much stylization moved surfaces.
 
-    None where the two share no opaque pixel.
+    None if they share no opaque pixel.
     """
     both = (alpha > 0.5) & (alpha_base > 0.5) & (z_base > 0)
     if not both.any():

@@ -1,6 +1,6 @@
-"""View consistency as others measure it, along a flow: so that figures stand beside their tables, and as it should be.
+"""View consistency along optical flow, by the protocols of published tables and by a corrected one.
 
-Images are [h, w, 3] sRGB-encoded 0..1; a pair is a source (the earlier frame) and a target; flows: see optical_flow.py.
+Images are [h, w, 3] sRGB 0..1. A pair is a source, the earlier frame, and a target. For flows see optical_flow.py.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,12 @@ ImageDistance = Callable[[np.ndarray, np.ndarray], float]  # two [h, w, 3] image
 
 @dataclass(frozen=True)
 class FlowConsistency:
-    """error, perceptual: None where nothing could be compared (or no distance was given). share: of all pixels asked.
+    """The consistency of a pair of frames.
 
-    What the error is depends on the protocol: a mean squared one of a sum over RGB, or a root mean square.
+    Attributes:
+        error: By protocol, a mean of squares summed over RGB or a root mean square; None if nothing was compared.
+        perceptual: Likewise; None without a distance too.
+        share: Compared pixels divided by all selected ones.
     """
 
     error: float | None
@@ -35,14 +38,19 @@ def laenerf_script(
     backward: np.ndarray,
     perceptual: ImageDistance | None = None,
 ) -> FlowConsistency:
-    """What LAENeRF's released scripts/eval measures, faults and all.
+    """Measure what LAENeRF's released scripts/eval measures, including its bugs.
 
-    forward: flow from source to target, backward: from target to source. The source is read along the backward flow.
-    Flagged are pixels where the FORWARD flow, read there, does not cancel with the FORWARD flow of the pixel itself
-    (it should be the backward one: all that moves by half a pixel is flagged), or where the forward flow has a step.
-    The error is the mean over FLAGGED pixels of the squared difference SUMMED over RGB, without a root.
-    The perceptual distance is of the whole image and is given values of 0..1 where LPIPS expects -1..1. Images are
-    rounded to eight bits as the script reads them.
+    The source is warped by the backward flow. The script flags pixels where the FORWARD flow, sampled by the backward
+    flow, does not cancel the FORWARD flow of the pixel itself (it should be the backward flow; everything that moves by
+    half a pixel is flagged), or where the forward flow has an edge. The error is the mean over FLAGGED pixels of
+    squared differences SUMMED over RGB, without a root. The perceptual distance covers the whole image, and LPIPS gets
+    0..1 instead of -1..1. Images are rounded to eight bits, as the script reads them.
+
+    Args:
+        source, target: Images.
+        forward: Flow from source to target.
+        backward: Flow from target to source.
+        perceptual: A distance of two images.
     """
     _check(source, target, forward, backward)
     source, target = (np.round(image * 255) / 255 for image in (source, target))
@@ -51,7 +59,7 @@ def laenerf_script(
     flagged = occluded(forward, sampled(forward, backward), forward)
     share = float(flagged.mean())
     error = float(((warped - target) ** 2).sum(axis=-1)[flagged].mean()) if flagged.any() else None
-    # Our networks take 0..1 and scale by themselves: what LPIPS makes of x as -1..1, they make of (x + 1) / 2.
+    # Our networks expect 0..1 and scale to -1..1: (x + 1) / 2 reproduces LPIPS on unscaled x.
     halves = ((image.astype(np.float32) + 1) / 2 for image in (warped, target))
     return FlowConsistency(error, float(perceptual(*halves)) if perceptual is not None else None, share)
 
@@ -59,11 +67,10 @@ def laenerf_script(
 def stylerf_family(
     source: np.ndarray, target: np.ndarray, forward: np.ndarray, perceptual: PixelDistance | None = None
 ) -> FlowConsistency:
-    """StyleRF's and its followers' protocol: the source is splatted along the forward flow by softmax splatting.
+    """Measure consistency by the protocol of StyleRF and its followers: softmax splatting along the forward flow.
 
-    Compared are the pixels that any source pixel lands on: root mean square over these and RGB, and mean of the
-    distance map there, elsewhere both images being the target. What is hidden in the source and filled from beside it
-    counts as an error: the protocol knows no occlusion.
+    All pixels that a source pixel lands on are compared: root mean square over them and RGB, and the mean of the
+    distance map. The protocol ignores occlusion, so disoccluded pixels count as errors.
     """
     _check(source, target, forward, forward)
     warped, landed = softmax_splat(source, forward, photometric_importance(source, target, forward))
@@ -78,17 +85,17 @@ def flow_consistency(
     perceptual: PixelDistance | None = None,
     within: np.ndarray | None = None,
 ) -> FlowConsistency:
-    """The measure of `pair_consistency` along flows: root mean square over the target's visible pixels and RGB.
+    """Measure what `pair_consistency` does, along flows: root mean square over visible pixels of the target and RGB.
 
-    Visible by `flow.visible`. within: bool [h, w], the pixels of the target that are asked about (None: all).
+    Visibility is that of optical_flow.visible. within: [h, w] bool, pixels of the target to compare; None for all.
     """
     _check(source, target, forward, backward)
-    asked = np.ones(target.shape[:2], bool) if within is None else within
-    return _over(sampled(source, backward), target, visible(forward, backward) & asked, asked, perceptual)
+    selected = np.ones(target.shape[:2], bool) if within is None else within
+    return _over(sampled(source, backward), target, visible(forward, backward) & selected, selected, perceptual)
 
 
 def _over(
-    warped: np.ndarray, target: np.ndarray, compared: np.ndarray, asked: np.ndarray, perceptual: PixelDistance | None
+    warped: np.ndarray, target: np.ndarray, compared: np.ndarray, selected: np.ndarray, perceptual: PixelDistance | None
 ) -> FlowConsistency:
     if not compared.any():
         return FlowConsistency(None, None, 0.0)
@@ -97,12 +104,12 @@ def _over(
         patched = np.where(compared[..., None], warped, target).astype(np.float32)
         distance = float(perceptual(patched, target.astype(np.float32))[compared].mean())
     error = float(np.sqrt(((warped - target)[compared] ** 2).mean()))
-    return FlowConsistency(error, distance, float(compared.sum() / asked.sum()))
+    return FlowConsistency(error, distance, float(compared.sum() / selected.sum()))
 
 
 def _check(source: np.ndarray, target: np.ndarray, forward: np.ndarray, backward: np.ndarray) -> None:
     if source.shape != target.shape or source.ndim != 3:
-        raise InvalidValue(f"two images of one size were expected, got {source.shape} and {target.shape}")
+        raise InvalidValue(f"expected two images of one size, got {source.shape} and {target.shape}")
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise InvalidValue("an image holds values that are not finite")
     for flow in (forward, backward):

@@ -1,7 +1,7 @@
-"""How far one image is from another: mean squared error, PSNR, SSIM, whole or under a mask.
+"""Mean squared error, PSNR and SSIM of two images, optionally under a mask.
 
-Images are float arrays [h, w, 3] (or [h, w]) with values in 0..1, sRGB-encoded unless the name says linear. Nothing
-here is differentiable. A value that is not finite is refused, never averaged away.
+Images are float arrays [h, w, 3] or [h, w], sRGB 0..1. NaN and infinity raise InvalidValue. Nothing here is
+differentiable.
 """
 
 import numpy as np
@@ -11,14 +11,14 @@ from skimage.metrics import structural_similarity
 from stylerf.errors import InvalidValue
 from stylerf.srgb import LUMA
 
-SSIM_WINDOW = 11  # pixels: what a Gaussian of sigma 1.5 cut at 3.5 sigma covers
+SSIM_WINDOW = 11  # pixels: a Gaussian of sigma 1.5, truncated at 3.5 sigma
 SSIM_SIGMA = 1.5
 STRUCTURE_SIGMA = 0.05  # of the longer side
-CODE_VALUE = 1 / 255  # spread below which a picture counts as flat
+CODE_VALUE = 1 / 255  # standard deviation below which an image counts as flat
 
 
 def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Mean of (a - b)^2 over pixels and channels; with `mask` [h, w] (bool or weights >= 0) the weighted mean."""
+    """Return the mean of (a - b)^2 over pixels and channels, weighted by `mask` [h, w] (bool or >= 0) if given."""
     _check_pair(a, b)
     squared = (np.asarray(a, np.float64) - np.asarray(b, np.float64)) ** 2
     per_pixel = squared.mean(axis=-1) if squared.ndim == 3 else squared
@@ -26,16 +26,16 @@ def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """-10 log10(MSE) in dB for values in 0..1; infinite for equal images."""
+    """Return -10 log10(MSE), dB; infinite for equal images."""
     error = mse(a, b, mask)
     return float("inf") if error == 0 else -10.0 * float(np.log10(error))
 
 
 def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Structural similarity at each pixel, [h, w], mean over channels, -1..1.
+    """Return the structural similarity at each pixel, [h, w], mean over channels, -1..1.
 
     Protocol of Wang et al. 2004: Gaussian window 11x11, sigma 1.5, K1 = 0.01, K2 = 0.03, population covariance,
-    data range 1. Within 5 pixels of the border the window is mirrored; `ssim` leaves that border out.
+    data range 1. The image is mirrored at its border; `ssim` leaves out those 5 pixels.
     """
     _check_pair(a, b)
     if min(a.shape[:2]) < SSIM_WINDOW:
@@ -50,13 +50,13 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         channel_axis=-1 if a.ndim == 3 else None,
         full=True,
     )
-    return full.mean(axis=-1) if full.ndim == 3 else full
+    return np.asarray(full.mean(axis=-1) if full.ndim == 3 else full)
 
 
 def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Mean of `ssim_map` without its 5-pixel border; with `mask` [h, w] the weighted mean over what is left.
+    """Return the mean of `ssim_map` without its 5-pixel border, weighted by `mask` [h, w] if given.
 
-    Windows centerd in the mask still see up to 5 pixels beyond it.
+    Windows centered in the mask extend up to 5 pixels beyond it.
     """
     border = SSIM_WINDOW // 2
     inner = (slice(border, -border), slice(border, -border))
@@ -64,22 +64,22 @@ def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def luminance(image: np.ndarray) -> np.ndarray:
-    """Rec.709 luma of an sRGB-encoded image [h, w, 3] -> [h, w], 0..1 (weights applied to the encoded values)."""
+    """Return the Rec.709 luma [h, w], 0..1, of an image [h, w, 3], computed from encoded values."""
     return np.asarray(image, np.float64) @ LUMA
 
 
 def content_ssim(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """SSIM between the luma of a stylized render and of the photo: how much of the structure survived, color aside."""
+    """Return the SSIM of the luma of a stylized render and of the photo: the structure kept, whatever the colors."""
     return ssim(luminance(stylized), luminance(photo), mask)
 
 
 def explained_structure(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """0..1: share of the variance of the photo's luma around each pixel that the render's luma there explains.
+    """Return the fraction, 0..1, of the photo's local luma variance that a local linear fit to the render explains.
 
-    Around a pixel: a Gaussian of sigma STRUCTURE_SIGMA of the longer side. With variances v_p, v_r and covariance c of
-    the two lumas there, a straight line from the render's to the photo's leaves v_p - c^2 / v_r unexplained; sums of
-    c^2 / v_r and of v_p over all pixels (weighted by `mask`) make the share. A line may fall: what was light and
-    became dark is still to be seen. Where the photo is smooth nothing is asked for; strokes there cost nothing.
+    Local means a Gaussian of sigma STRUCTURE_SIGMA times the longer side. With local variances v_p, v_r and covariance
+    c of the two lumas, the best line leaves v_p - c^2 / v_r unexplained; the result is the sum of c^2 / v_r over that
+    of v_p, weighted by `mask`. Lines of negative slope count too: inverted structure is still visible. Where the photo
+    is smooth there is no variance to explain, so brush strokes there cost nothing.
     """
     _check_pair(stylized, photo)
     sigma = STRUCTURE_SIGMA * max(photo.shape[:2])
@@ -105,7 +105,7 @@ def _check_pair(a: np.ndarray, b: np.ndarray) -> None:
 
 
 def _masked_mean(values: np.ndarray, mask: np.ndarray | None) -> float:
-    """Mean of [h, w] values, weighted by the mask where there is one."""
+    """Return the mean of values [h, w], weighted by the mask if given."""
     if mask is None:
         return float(values.mean())
     weights = np.asarray(mask, np.float64)
@@ -113,5 +113,5 @@ def _masked_mean(values: np.ndarray, mask: np.ndarray | None) -> float:
         raise InvalidValue(f"mask of shape {weights.shape} does not fit an image of {values.shape}")
     total = weights.sum()
     if not total > 0 or weights.min() < 0:
-        raise InvalidValue("a mask needs weights that are not negative and at least one above zero")
+        raise InvalidValue("mask weights must not be negative, and at least one must be positive")
     return float((values * weights).sum() / total)

@@ -1,24 +1,27 @@
-"""How far two pictures of one thing lie apart as a whole, whatever their sharpness and exposure."""
+"""The global shift between two images, insensitive to sharpness and exposure."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-FINEST, COARSEST = 1.0, 8.0  # standard deviations, pixels, of what is blurred away and of what counts as background
-LARGEST_SHARE = 1 / 3  # of the shorter side: shifts beyond are not looked for
+FINEST, COARSEST = 1.0, 8.0  # band-pass: standard deviations of the two Gaussians, pixels
+LARGEST_SHARE = 1 / 3  # largest shift, as a fraction of the shorter side
 
 
 def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:
-    """Shift (right, down), pixels, from `one` to `other`, [h, w] each, and how alike they are then, -1..1.
+    """Estimate the shift from `one` to `other`, [h, w] each.
 
-    The peak of the cross-correlation of both pictures between two blurs, to a part of a pixel by a parabola. Blur is
-    even to all sides: it flattens the peak and does not move it. (0, 0) and 0 where a picture is of one color.
+    The peak of the cross-correlation of the band-passed images, refined to subpixels by a parabola. Symmetric blur
+    flattens the peak but does not move it.
+
+    Returns:
+        The shift (right, down), pixels, and the correlation at the peak, -1..1; zeros if an image is uniform.
     """
     height, width = one.shape
-    # Less towards the borders, where one picture shows what the other does not.
+    # Fades towards the borders, where the images show different things.
     window = np.sqrt(np.outer(np.hanning(height + 2), np.hanning(width + 2)))[1:-1, 1:-1]
     one, other = (_detail(picture, window) for picture in (one, other))
     most = max(1, int(min(height, width) * LARGEST_SHARE))
-    # Room for shifts to all sides: what leaves at one border does not return at another.
+    # Zero padding, so that the circular correlation does not wrap around.
     size = 2 * height + 4, 2 * width + 4
     energy = float(np.sqrt(np.square(one).sum() * np.square(other).sum()))
     if energy <= 1e-9:
@@ -32,14 +35,14 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
 
 
 def _detail(picture: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """What is neither noise nor background, faded out towards the borders, of mean 0."""
+    """Band-pass an image and apply the window, with mean 0."""
     picture = np.asarray(picture, np.float64)
     detail = gaussian_filter(picture, FINEST) - gaussian_filter(picture, COARSEST)
     return (detail - (detail * window).sum() / window.sum()) * window
 
 
 def _vertex(values: np.ndarray) -> float:
-    """Where the parabola through three values has its vertex, -1/2..1/2 about the middle one, which is the largest."""
+    """Return the vertex of the parabola through three values, the middle one the largest; -1/2..1/2 from the middle."""
     before, middle, after = values
     bend = before - 2 * middle + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0

@@ -1,7 +1,7 @@
-"""Optical flow between two views: from a field's own depth and poses, warped along, and checked against its inverse.
+"""Optical flow between two views: from a field's depth and poses, for warping, and with occlusion checks.
 
-A flow [h, w, 2] tells for each pixel of one image by how many pixels, right and down, what it shows lies elsewhere in
-another image of the same size. A pixel of which nothing is known holds values that are not finite.
+A flow [h, w, 2] holds, for each pixel of an image, the displacement (right, down), pixels, of its content in another
+image of the same size; NaN or infinity where unknown.
 """
 
 import numpy as np
@@ -12,10 +12,9 @@ from stylerf.metrics.consistency import PosedView
 
 
 def field_flow(view: PosedView, other: Camera) -> np.ndarray:
-    """Flow [h, w, 2] float64 from a view to another camera, exact for its depth; nan where it is transparent.
+    """Return the flow [h, w, 2] float64 from a view to another camera, by the view's depth.
 
-    Transparent: alpha of 0.5 or less, or no depth. A point behind the other camera has no flow either. Whether another
-    surface hides the point there is not asked.
+    NaN where alpha is at most 0.5, the depth unknown, or the point behind the other camera. Occlusion is ignored.
     """
     camera = view.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
@@ -28,14 +27,14 @@ def field_flow(view: PosedView, other: Camera) -> np.ndarray:
 
 
 def filled(flow: np.ndarray) -> np.ndarray:
-    """The flow with 0 where it is unknown: what stands behind an object is of one color and seems to stay."""
+    """Replace unknown flow by 0, right for uniform backgrounds, which appear static."""
     return np.where(np.isfinite(flow).all(axis=-1, keepdims=True), flow, 0.0)
 
 
 def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """values [h, w, c] read at each pixel's place moved by `flow` [h, w, 2]: bilinear, 0 beyond the outermost pixels.
+    """Sample values [h, w, c] bilinearly at each pixel displaced by `flow` [h, w, 2].
 
-    Between the outermost pixel's center and the next, missing one, the value fades to 0 (OpenCV's constant border).
+    Zero outside; within one pixel of the outermost centers the value fades to 0 (OpenCV's constant border).
     """
     check_flow(flow, values.shape[:2])
     height, width = values.shape[:2]
@@ -52,7 +51,7 @@ def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
 
 
 def inside(flow: np.ndarray) -> np.ndarray:
-    """bool [h, w]: the flow is known and ends between the centers of the outermost pixels."""
+    """Return where the flow is known and ends between the centers of the outermost pixels, [h, w] bool."""
     height, width = flow.shape[:2]
     rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
     with np.errstate(invalid="ignore"):
@@ -61,10 +60,10 @@ def inside(flow: np.ndarray) -> np.ndarray:
 
 
 def occluded(first: np.ndarray, second: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """bool [h, w]: Ruder et al. 2016, 3.2, with their constants: the two flows do not cancel, or `edges` has a step.
+    """Return where two flows do not cancel, or `edges` has an edge, [h, w] bool (Ruder et al. 2016, section 3.2).
 
-    |a + b|^2 > 0.01 (|a|^2 + |b|^2) + 0.5, or |grad e|^2 > 0.01 |e|^2 + 0.002 with differences to the next pixel (0 at
-    the last). All [h, w, 2], `second` already read at the places to which `first` leads.
+    |a + b|^2 > 0.01 (|a|^2 + |b|^2) + 0.5, or |grad e|^2 > 0.01 |e|^2 + 0.002, with forward differences, 0 at the last
+    pixel. All [h, w, 2]; `second` is sampled by `first`.
     """
     apart = _squared(first + second) > 0.01 * (_squared(first) + _squared(second)) + 0.5
     gradient = np.zeros(edges.shape[:2])
@@ -74,23 +73,23 @@ def occluded(first: np.ndarray, second: np.ndarray, edges: np.ndarray) -> np.nda
 
 
 def visible(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
-    """bool [h, w] on the target: what lies there is seen in the source too, by flows of source and target.
+    """Return which pixels of the target are visible in the source, [h, w] bool.
 
-    forward: source to target; backward: target to source. A pixel is visible where its backward flow is known and
-    ends within the source, the forward flow found there leads back, and the backward flow has no step there.
+    A pixel is visible if its backward flow (target to source) is known and ends within the source, the forward flow
+    (source to target) there leads back, and the backward flow has no edge.
     """
     check_flow(forward, backward.shape[:2])
     back = filled(backward)
-    # A source pixel without flow spoils all four places around it, instead of pulling the mean towards 0.
+    # Unknown flow of a source pixel invalidates everything interpolated from it.
     known = sampled(np.isfinite(forward).all(axis=-1, keepdims=True).astype(np.float64), back)[..., 0] > 1 - 1e-9
     return inside(backward) & known & ~occluded(back, sampled(filled(forward), back), back)
 
 
 def check_flow(flow: np.ndarray, size: tuple[int, ...]) -> None:
-    """InvalidValue unless the flow is [*size, 2]."""
+    """Raise InvalidValue unless the flow has shape [*size, 2]."""
     if flow.shape != (*size, 2):
-        raise InvalidValue(f"a flow of {size[1]}x{size[0]} pixels was expected, got an array of shape {flow.shape}")
+        raise InvalidValue(f"expected a flow of {size[1]}x{size[0]} pixels, got an array of shape {flow.shape}")
 
 
 def _squared(vectors: np.ndarray) -> np.ndarray:
-    return np.square(vectors, dtype=np.float64).sum(axis=-1)
+    return np.asarray(np.square(vectors, dtype=np.float64).sum(axis=-1))

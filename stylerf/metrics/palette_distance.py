@@ -1,4 +1,4 @@
-"""Distance between the colors of two sets of pixels, whatever their places."""
+"""Distance between the color distributions of two sets of pixels."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,12 @@ from stylerf.metrics.frechet import Moments, frechet_squared, moments
 
 @dataclass(frozen=True)
 class PaletteDistance:
-    """mean: |mu_a - mu_b|. covariance: Frobenius norm of S_a - S_b. frechet: 2-Wasserstein distance of the Gaussians.
+    """Distances in sRGB values 0..1; the covariance in their square.
 
-    All in units of sRGB-encoded 0..1 values (the covariance in their square).
+    Attributes:
+        mean: |mu_a - mu_b|.
+        covariance: Frobenius norm of S_a - S_b.
+        frechet: 2-Wasserstein distance of the Gaussians.
     """
 
     mean: float
@@ -21,7 +24,7 @@ class PaletteDistance:
 
 
 def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
-    """Compare colors [n, 3] and [m, 3] by their first two moments, covariances by 1/n."""
+    """Compare colors [n, 3] and [m, 3] by mean and covariance (divided by n)."""
     first, second = _moments(a), _moments(b)
     return PaletteDistance(
         mean=float(np.linalg.norm(first.mean - second.mean)),

@@ -1,24 +1,29 @@
-"""Which of several runs are not beaten: the Pareto front of a cost and a figure."""
+"""The Pareto front of a cost and a quality metric."""
 
 from collections.abc import Sequence
 
 from stylerf.errors import InvalidValue
 
 
-def pareto_front(costs: Sequence[float], figures: Sequence[float], higher: bool) -> list[int]:
-    """Indices, the cheapest first, of the runs that no other beats.
+def pareto_front(costs: Sequence[float], metrics: Sequence[float], higher: bool) -> list[int]:
+    """Return the indices of all Pareto-optimal runs, the cheapest first.
 
-    A run is beaten by one that costs no more and has a figure no worse, and is better in one of the two; of equal runs
-    none beats another. higher: whether a higher figure is better; a lower cost always is.
+    A run is dominated by one that is no worse in cost and metric and better in one of them. Equal runs do not dominate
+    each other.
+
+    Args:
+        costs: Lower is better.
+        metrics: One for each cost.
+        higher: Whether a higher metric is better.
     """
-    if len(costs) != len(figures):
-        raise InvalidValue(f"as many costs as figures were expected, got {len(costs)} and {len(figures)}")
+    if len(costs) != len(metrics):
+        raise InvalidValue(f"expected as many costs as metrics, got {len(costs)} and {len(metrics)}")
     sign = -1.0 if higher else 1.0
-    order = sorted(range(len(costs)), key=lambda i: (costs[i], sign * figures[i]))
+    order = sorted(range(len(costs)), key=lambda i: (costs[i], sign * metrics[i]))
     front: list[int] = []
     for i in order:
-        best = sign * figures[front[-1]] if front else float("inf")
-        same = bool(front) and (costs[i], figures[i]) == (costs[front[-1]], figures[front[-1]])
-        if sign * figures[i] < best or same:
+        best = sign * metrics[front[-1]] if front else float("inf")
+        same = bool(front) and (costs[i], metrics[i]) == (costs[front[-1]], metrics[front[-1]])
+        if sign * metrics[i] < best or same:
             front.append(i)
     return front

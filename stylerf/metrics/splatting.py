@@ -1,4 +1,4 @@
-"""Softmax splatting (Niklaus and Liu 2020): an image moved forward along a flow, the more important pixel on top.
+"""Softmax splatting (Niklaus and Liu 2020): forward warping in which more important pixels cover others.
 
     warped(q) = sum_p b(q - p - F(p)) exp(Z(p)) I(p) / sum_p b(q - p - F(p)) exp(Z(p))
 
@@ -10,14 +10,19 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.metrics.optical_flow import check_flow, sampled
 
-IMPORTANCE = -20.0  # times |I_source - I_target read along the flow|, mean over RGB: the authors' own example
+IMPORTANCE = -20.0  # factor of the photometric error, from the authors' example
 
 
 def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The warped image [h, w, c], 0 where nothing lands, and where something does, bool [h, w].
+    """Splat an image along a flow.
 
-    image [h, w, c] and importance Z [h, w] of the source, flow [h, w, 2] from it; pixels without flow move nowhere, and
-    what leaves the image is lost.
+    Args:
+        image: [h, w, c].
+        flow: [h, w, 2]; pixels of unknown flow, and those that leave the image, are dropped.
+        importance: Z, [h, w].
+
+    Returns:
+        The warped image [h, w, c], 0 where nothing lands, and where something lands, [h, w] bool.
     """
     height, width, channels = image.shape
     check_flow(flow, (height, width))
@@ -30,7 +35,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     colors = np.asarray(image, np.float64).reshape(-1, channels)[known]
     strength = np.asarray(importance, np.float64).reshape(-1)[known]
-    weight = np.exp(strength - strength.max(initial=-np.inf))  # the same for all: cancels in the quotient
+    weight = np.exp(strength - strength.max(initial=-np.inf))  # the maximum cancels in the quotient
     total, found = np.zeros(height * width), np.zeros((height * width, channels))
     landed = np.zeros(height * width, bool)
     for down in (0, 1):
@@ -49,5 +54,5 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
 
 
 def photometric_importance(source: np.ndarray, target: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Z [h, w] of the source's pixels: IMPORTANCE times how unlike the target they are where the flow leads."""
-    return IMPORTANCE * np.abs(np.asarray(source, np.float64) - sampled(target, flow)).mean(axis=-1)
+    """Return Z [h, w]: IMPORTANCE times |source - target sampled by the flow|, mean over RGB."""
+    return np.asarray(IMPORTANCE * np.abs(np.asarray(source, np.float64) - sampled(target, flow)).mean(axis=-1))

@@ -1,11 +1,10 @@
-"""How the procedural scene is compiled: once, cached on disk, and quickly, since a user waits for it.
+"""Compilation of the procedural scene: once, cached on disk.
 
-`compiled` is a kernel function called by kernels only: leaving out its wrappers for Python and C takes a tenth off the
-compilation. `released` is one called from Python, during which other Python threads run.
-Infinities and NaN must not occur in any of them (fast-math).
+`compiled` is for functions that only kernels call: without wrappers for Python and C they compile 10 % faster.
+`released` is for functions called from Python; they release the GIL. Infinities and NaN must not occur (fast-math).
 """
 
-import stylerf.kernels  # noqa: F401, I001 - before numba, which looks once for where compiled kernels are kept
+import stylerf.kernels  # noqa: F401, I001 - before numba, which reads its cache folder on import
 import numba
 
 FAST = {"reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn"}

@@ -35,12 +35,12 @@ class Subject:
 
 
 def colors(name: str) -> np.ndarray:
-    """Palette of a region, [k, 3] sRGB-encoded 0..1."""
+    """Return the palette of a region, [k, 3] sRGB 0..1."""
     return hexadecimal(PALETTES[name])
 
 
 def hexadecimal(codes: tuple[str, ...]) -> np.ndarray:
-    """'#rrggbb' codes -> [k, 3] in 0..1."""
+    """Convert '#rrggbb' codes to [k, 3], 0..1."""
     return np.array([[int(code[i : i + 2], 16) / 255 for i in (1, 3, 5)] for code in codes])
 
 
@@ -49,7 +49,7 @@ def _bump(u, v, at, radius):
 
 
 def _wobble(u, v, random, cycles):
-    """A smooth random function of the picture, about -1..1: a few plane waves."""
+    """Return a smooth random function over the image, about -1..1: a few plane waves."""
     total = np.zeros_like(u)
     for _ in range(6):
         a, b = random.normal(0, cycles, 2)
@@ -58,7 +58,7 @@ def _wobble(u, v, random, cycles):
 
 
 def _sky(u, v, random, suns):
-    """Stream function of the sky: whirls around eddies and suns on a drift to the right."""
+    """Return the stream function of the sky: vortices around eddies and suns, with a drift to the right."""
     stream = 0.95 * v + 0.07 * np.sin(2 * np.pi * (1.1 * u + 0.25)) + 0.012 * _wobble(u, v, random, 2.2)
     swirls = (((0.43, 0.25), 0.115, 0.34), ((0.585, 0.385), 0.075, -0.2), ((0.24, 0.43), 0.07, 0.15))
     for at, radius, strength in swirls:
@@ -70,7 +70,7 @@ def _sky(u, v, random, suns):
 
 
 def compose(size: int, seed: int) -> Subject:
-    """The subject at size x size pixels; the seed moves suns, eddies and hills a little and sets all irregularity."""
+    """Compose the subject at size x size pixels; the seed shifts suns, eddies and hills and sets all irregularity."""
     random = np.random.default_rng(seed)
     v, u = np.meshgrid((np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     jitter = random.normal(0, 0.012, (8, 2))
@@ -124,7 +124,7 @@ def compose(size: int, seed: int) -> Subject:
 
 
 def _outlines(regions, names, glow, streams, size) -> list[np.ndarray]:
-    """Edges of the regions, rings about the suns, and furrows of the hills."""
+    """Return the edges of the regions, rings around the suns, and furrows of the hills."""
     from skimage.measure import find_contours
 
     curves = []

@@ -1,4 +1,4 @@
-"""A procedurally painted picture: layers of oriented, thick strokes from broad to fine, contours, and relief."""
+"""A procedural painting: layers of oriented, thick strokes from broad to fine, contours, and relief."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,16 @@ from stylerf.errors import InvalidValue
 from stylerf.procedural.composition import CONTOUR, Subject, colors, compose, hexadecimal
 from stylerf.procedural.strokes import follow_flow, joined, lay_strokes, relief
 
-FINER = 2  # the canvas is painted this many times as large and averaged down
+FINER = 2  # supersampling factor of the canvas
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Strokes of one brush. Widths and lengths in parts of the picture's side; cover: how often each point is
-    painted over on average; accent: share of strokes in a color from elsewhere in the palette."""
+    """Strokes of one brush.
+
+    Widths and lengths are fractions of the image's side. cover: mean number of strokes over a point. accent: fraction
+    of strokes in a random color of the palette.
+    """
 
     width: float
     length: float
@@ -35,9 +38,9 @@ GROUND = "#5a2315"  # a warm ground that shows between the strokes
 
 
 def paint(size: int = 512, seed: int = 0) -> np.ndarray:
-    """The painting, [size, size, 3] float32, sRGB-encoded 0..1; the same bytes for the same size and seed."""
+    """Paint [size, size, 3] float32, sRGB 0..1; the same bytes for the same size and seed."""
     if size < 32:
-        raise InvalidValue(f"a painting of {size} pixels has no room for strokes; 32 at least")
+        raise InvalidValue(f"a painting of {size} pixels is too small for strokes; 32 at least")
     random = np.random.default_rng([seed, 1])
     large = FINER * size
     subject = compose(large, seed)
@@ -53,11 +56,11 @@ def paint(size: int = 512, seed: int = 0) -> np.ndarray:
 
 
 def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: int) -> None:
-    """One layer of strokes over the whole picture, or where the subject has at least the layer's detail."""
+    """Paint a layer of strokes over the whole image, or where the subject has at least the layer's detail."""
     size = len(canvas)
     width, length = layer.width * size, layer.length * size
     wanted = int(layer.cover * size * size / (0.75 * width * length))
-    # Those that would start outside start at the edge, which is otherwise painted over less often.
+    # Starts outside are moved to the edge, which would otherwise get fewer strokes.
     starts = np.clip(random.uniform(-0.04 * size, 1.04 * size, (wanted, 2)), 0, size - 1)
     columns, rows = starts.astype(int).T
     kept = subject.detail[rows, columns] >= layer.detail
@@ -71,7 +74,7 @@ def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: i
 
 
 def _paints(subject: Subject, rows, columns, accent: float, random) -> tuple[np.ndarray, np.ndarray]:
-    """The two paints of each stroke, [k, 3] each: neighbors in the palette of the region that it lies in."""
+    """Return the two paints of each stroke, [k, 3] each: neighbors in the palette of its region."""
     count = len(rows)
     tones = np.clip(subject.tones[rows, columns] + random.normal(0, 0.07, count), 0, 1)
     odd = random.uniform(size=count) < accent
@@ -86,13 +89,13 @@ def _paints(subject: Subject, rows, columns, accent: float, random) -> tuple[np.
 
 
 def _along(palette: np.ndarray, tones: np.ndarray) -> np.ndarray:
-    """Colors [k, 3] at places 0..1 along a palette, linear between its entries."""
+    """Interpolate a palette linearly at positions 0..1; colors [k, 3]."""
     places = np.linspace(0, 1, len(palette))
     return np.stack([np.interp(tones, places, palette[:, channel]) for channel in range(3)], axis=-1)
 
 
 def _draw_contours(canvas, height, subject: Subject, random, seed: int) -> None:
-    """Dark curved lines along the subject's outlines, broken and of uneven pressure."""
+    """Draw dark lines along the subject's outlines, broken and of uneven pressure."""
     size = len(canvas)
     paths = []
     for curve in subject.outlines:
@@ -115,6 +118,6 @@ def _draw_contours(canvas, height, subject: Subject, random, seed: int) -> None:
 
 
 def _weave(size: int) -> np.ndarray:
-    """Height of a canvas' threads, [size, size], about 0..1: period of five pixels."""
+    """Return the height of the canvas' threads, [size, size], about 0..1, with a period of five pixels."""
     along = np.sin(2 * np.pi * np.arange(size) / 5)
     return 0.5 + 0.25 * (along[:, None] + along[None, :])

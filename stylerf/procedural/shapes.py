@@ -43,7 +43,7 @@ def cylinder(x, y, z, radius, low, high, rounding):
 
 @compiled
 def ring(x, y, z, major, minor):
-    """Torus about the z axis, centerd at the origin."""
+    """Torus about the z axis, centered at the origin."""
     return hypot(hypot(x, y) - major, z) - minor
 
 

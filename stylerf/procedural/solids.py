@@ -1,4 +1,4 @@
-"""The arrangement of the still life: which solids stand where, packed into arrays for the kernels."""
+"""The arrangement of the still life: its solids and their poses, packed into arrays for the kernels."""
 
 from dataclasses import dataclass
 from math import atan2, cos, radians, sin, sqrt
@@ -28,16 +28,16 @@ class Solid:
 
 
 def standing(x: float, y: float, turn_deg: float = 0.0, lift: float = 0.0) -> np.ndarray:
-    """[4, 4] pose on the table top at (x, y), turned about the vertical, raised by `lift` scene units."""
+    """Return a pose [4, 4] on the table top at (x, y), turned about the vertical, raised by `lift` scene units."""
     c, s = cos(radians(turn_deg)), sin(radians(turn_deg))
     pose = np.eye(4)
-    pose[:3, :3] = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    pose[:2, :2] = [[c, -s], [s, c]]
     pose[:3, 3] = x, y, TABLE_TOP + lift
     return pose
 
 
 def tipped(angle_deg: float) -> np.ndarray:
-    """[4, 4] rotation about the x axis: +y towards +z."""
+    """Return a rotation [4, 4] about the x axis, +y towards +z."""
     c, s = cos(radians(angle_deg)), sin(radians(angle_deg))
     turn = np.eye(4)
     turn[1:3, 1:3] = [[c, -s], [s, c]]
@@ -45,7 +45,7 @@ def tipped(angle_deg: float) -> np.ndarray:
 
 
 def moved(x: float, y: float, z: float) -> np.ndarray:
-    """[4, 4] translation."""
+    """Return a translation [4, 4]."""
     pose = np.eye(4)
     pose[:3, 3] = x, y, z
     return pose
@@ -129,7 +129,7 @@ def arrangement() -> list[Solid]:
 
 
 def pack(solids: list[Solid]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Solids -> the kernels' arrays: kinds [n], poses [n, 12], params [n, 4], boxes [n, 6] (see tracing.py)."""
+    """Pack solids into the kernels' arrays: kinds [n], poses [n, 12], params [n, 4], boxes [n, 6] (see tracing.py)."""
     kinds = np.array([solid.kind for solid in solids], np.int64)
     poses = np.stack([np.concatenate([s.world_from_local[:3, :3].ravel(), s.world_from_local[:3, 3]]) for s in solids])
     params = np.zeros((len(solids), 4))

@@ -44,15 +44,15 @@ class StillLife:
         self._packed = pack(self.solids)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Signed distance bound [n] float64 of points [n, 3]: 0 on the surface, negative inside, never too long."""
+        """Return a lower bound [n] float64 of the signed distance of points [n, 3]: 0 on the surface, < 0 inside."""
         return point_distances(self._packed, np.ascontiguousarray(points, np.float64))
 
     def trace(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Distance [n] float64 to the first surface along rays [n, 3] (directions of any length); inf on a miss."""
+        """Return the distance [n] float64 to the first surface along rays [n, 3], of any length; inf on a miss."""
         return self.trace_owners(origins, directions)[0]
 
     def trace_owners(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As `trace`, and the index [n] into `solids` of what was hit; -1 on a miss."""
+        """Trace rays as `trace` does, and return the index [n] into `solids` too; -1 on a miss."""
         directions = np.array(directions, np.float64)
         lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
         if not (lengths > 0).all():
@@ -62,7 +62,7 @@ class StillLife:
         return np.where(owners < 0, np.inf, np.minimum(distances, MISS)), owners
 
     def render(self, camera: Camera, samples: int = 2, edge_samples: int = 4, threads: int = 1) -> TrueView:
-        """A camera's view. Every pixel is the mean of samples^2 rays, of edge_samples^2 where those differ."""
+        """Render a camera's view. Each pixel is the mean of samples^2 rays, or of edge_samples^2 where those differ."""
         out = np.empty((camera.height, camera.width, 4), np.float32)
         lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
         pose = np.ascontiguousarray(camera.world_from_camera)
@@ -81,7 +81,7 @@ class StillLife:
         return TrueView(out, distance.astype(np.float32), (distance * camera.ray_cosines()).astype(np.float32))
 
     def center_distances(self, camera: Camera) -> np.ndarray:
-        """Ray distance [h, w] float64 at pixel centers, from float64 rays; inf on a miss."""
+        """Return the ray distance [h, w] float64 at pixel centers, from float64 rays; inf on a miss."""
         rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
         pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1)
         directions = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
@@ -89,7 +89,7 @@ class StillLife:
 
 
 def looking_at(name: str, eye: np.ndarray, target: np.ndarray, width: int, height: int, focal: float) -> Camera:
-    """Camera at `eye` whose axis meets `target`, +z up in the picture, principal point in the middle."""
+    """Return a camera at `eye` that looks at `target`, with +z up and a centered principal point."""
     forward = np.asarray(target, np.float64) - eye
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

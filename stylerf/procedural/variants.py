@@ -23,7 +23,7 @@ FINER = 2  # rays a pixel and axis
 
 
 def thin_arrangement(seed: int) -> list[Solid]:
-    """Twelve rods that lean to all sides and six rings, on the still life's table; the seed turns and moves them."""
+    """Return twelve tilted rods and six rings on the still life's table, placed at random by the seed."""
     random = np.random.default_rng([seed, 11])
     solids = [arrangement()[0]]
     for number in range(12):
@@ -31,20 +31,20 @@ def thin_arrangement(seed: int) -> list[Solid]:
         half, tilt = float(random.uniform(0.3, 0.55)), float(random.uniform(-25, 25))
         lift = half * np.cos(np.radians(tilt))
         pose = standing(x, y, float(random.uniform(0, 360)), lift) @ tipped(tilt)
-        sides = (ROD, ROD, half)
-        solids.append(Solid(f"rod {number}", shapes.BOX, (*sides, 0.3 * ROD), tuple(-s for s in sides), sides, pose))
+        low, high = (-ROD, -ROD, -half), (ROD, ROD, half)
+        solids.append(Solid(f"rod {number}", shapes.BOX, (*high, 0.3 * ROD), low, high, pose))
     for number in range(6):
         x, y = random.uniform(-0.5, 0.5, 2) * TABLE_RADIUS
         major = float(random.uniform(0.12, 0.3))
         pose = standing(x, y, float(random.uniform(0, 360)), major) @ tipped(90.0)
         reach = major + WIRE
-        box = (reach, reach, WIRE)
-        solids.append(Solid(f"ring {number}", shapes.TORUS, (major, WIRE), tuple(-s for s in box), box, pose))
+        low, high = (-reach, -reach, -WIRE), (reach, reach, WIRE)
+        solids.append(Solid(f"ring {number}", shapes.TORUS, (major, WIRE), low, high, pose))
     return solids
 
 
 class HardStillLife:
-    """kind: one of VARIANTS. seed: where thin things stand; the other two have nothing random."""
+    """A hard variant of the still life. kind: one of VARIANTS. seed: of the thin objects' poses; unused by others."""
 
     def __init__(self, kind: str, seed: int = 0) -> None:
         if kind not in VARIANTS:
@@ -53,7 +53,7 @@ class HardStillLife:
         self.life = StillLife(0, thin_arrangement(seed) if kind == "thin" else None)
 
     def albedo(self, points: np.ndarray, owners: np.ndarray) -> np.ndarray:
-        """[n, 3] sRGB of points [n, 3] on the solids of these indices [n]."""
+        """Return the sRGB colors [n, 3] of points [n, 3] on the solids with these indices [n]."""
         if self.kind == "textureless":
             return np.full((len(points), 3), PLASTER)
         if self.kind == "repeating":
@@ -63,13 +63,13 @@ class HardStillLife:
         return np.where(owners[:, None] == 0, PLASTER, 0.45 + 0.35 * np.sin(turn))
 
     def normals(self, points: np.ndarray) -> np.ndarray:
-        """[n, 3] unit: the gradient of the distance by central differences."""
+        """Return unit normals [n, 3]: the gradient of the distance by central differences."""
         steps = NORMAL_STEP * np.eye(3)
         found = np.stack([self.life.distance(points + s) - self.life.distance(points - s) for s in steps], -1)
         return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
 
     def render(self, camera: Camera) -> TrueView:
-        """A camera's view; every pixel is the mean of FINER^2 rays."""
+        """Render a camera's view; every pixel is the mean of FINER^2 rays."""
         fine = camera.scaled(FINER)
         rows, columns = np.meshgrid(np.arange(fine.height) + 0.5, np.arange(fine.width) + 0.5, indexing="ij")
         pixels = np.stack([columns.ravel(), rows.ravel()], -1)

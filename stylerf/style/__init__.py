@@ -1,1 +1,1 @@
-"""Feature trunks, style losses, color matching."""
+"""Feature extractors, style losses, color matching."""

@@ -1,9 +1,9 @@
-"""Exact color matching: the affine map that gives one set of colors the mean and covariance of another.
+"""Color matching: the affine map that gives one set of colors the mean and covariance of another.
 
     A = V_s^(1/2) V_c^(-1/2),  b = mu_s - A mu_c,  x' = A x + b        (ARF; symmetric square roots)
 
-with mu, V the weighted mean and covariance (1/N) of the content colors c and the style colors s. It is a map of
-colors as they are seen (sRGB-encoded, [0, 1]); spherical-harmonic coefficients are not colors.
+with mu, V the weighted mean and covariance (1/N) of the content colors c and the style colors s. It maps sRGB colors
+0..1, not spherical-harmonic coefficients.
 """
 
 from collections.abc import Iterable
@@ -15,26 +15,26 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.color_map import ColorMap
 from stylerf.srgb import LUMA
 
-VARIANCE_FLOOR = 1e-8  # eigenvalues of a covariance below this are raised to it (ARF clamps its singular values so)
-NOISE = (2 / 255) ** 2  # variance of content below which it is no color but the noise of a photo in eight bits
+VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)
+NOISE = (2 / 255) ** 2  # variance of the content below which it is noise of 8-bit photos
 
 
 def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colors [n, 3], in float64."""
+    """Return weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colors [n, 3], in float64."""
     if colors.dim() != 2 or colors.shape[1] != 3 or colors.shape[0] == 0:
         raise InvalidValue(f"expected colors [n, 3] with n > 0, found {tuple(colors.shape)}")
     colors = colors.double()
     weights = torch.ones_like(colors[:, 0]) if weights is None else weights.double()
     total = weights.sum()
     if not (float(total) > 0 and torch.isfinite(colors).all()):
-        raise InvalidValue("colors to match must be finite and their weights must not all be 0")
+        raise InvalidValue("colors must be finite and their weights not all 0")
     mean = (weights[:, None] * colors).sum(dim=0) / total
-    centerd = colors - mean
-    return mean, (weights[:, None] * centerd).T @ centerd / total
+    centered = colors - mean
+    return mean, (weights[:, None] * centered).T @ centered / total
 
 
 def symmetric_power(covariance: Tensor, exponent: float, least: float = VARIANCE_FLOOR) -> Tensor:
-    """V^exponent of a symmetric matrix through its eigenvalues, each raised to at least `least` first."""
+    """Return V^exponent of a symmetric matrix, with eigenvalues clamped to at least `least`."""
     values, vectors = torch.linalg.eigh(covariance)
     return (vectors * values.clamp_min(least).pow(exponent)) @ vectors.T
 
@@ -45,10 +45,10 @@ def match_colors(
     content_weights: Tensor | None = None,  # [n], for example alpha
     style_weights: Tensor | None = None,  # [m]
 ) -> ColorMap:
-    """The map after which the content's weighted mean and covariance are the style's (exactly, before clamping).
+    """Return the map that gives the content the style's weighted mean and covariance, before clamping; float64, CPU.
 
-    Float64 inside and out, on the CPU. A content with less spread in some direction than NOISE (a gray picture) gains
-    only in proportion there: exactly matched, its noise would become colors.
+    Along directions in which the content varies less than NOISE, as in gray images, the match is only proportional, or
+    noise would turn into colors.
     """
     mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
     mean_s, covariance_s = color_statistics(style.cpu(), _on_cpu(style_weights))
@@ -56,76 +56,75 @@ def match_colors(
     return ColorMap(matrix, mean_s - matrix @ mean_c)
 
 
-def spread_at_least(painting: Tensor, least: float) -> Tensor:
-    """A painting [3, h, w] to take colors from, whose luma has a standard deviation of at least `least` (0..0.25).
+def spread_at_least(style_image: Tensor, least: float) -> Tensor:
+    """Return the style image [3, h, w] with a standard deviation of luma of at least `least` (0..0.25).
 
-    Exact matching to a painting of one color takes all light and shade from a scene. One with less spread than asked
-    for is given the rest in gray: d is added to every other pixel and taken from those between, which keeps its mean
-    and adds d^2 to every entry of its covariance. Where 0..1 leaves no room for that, colors move inwards first.
+    Exact matching to a uniform style image would remove all shading. What is missing is added in gray: d is alternately
+    added to and subtracted from pixels, which keeps the mean and adds d^2 to every entry of the covariance. Colors move
+    inwards first if that would leave 0..1.
     """
     if least <= 0:
-        return painting
+        return style_image
     weights = torch.tensor(LUMA, dtype=torch.float64)
-    flat = painting.double().flatten(1)
+    flat = style_image.double().flatten(1)
     missing = least**2 - float((weights @ (flat - flat.mean(1, keepdim=True))).square().mean())
     if missing <= 0:
-        return painting
+        return style_image
     step = missing**0.5
     signs = torch.ones(flat.shape[1], dtype=torch.float64)
     signs[1::2] = -1
     inside = flat.clamp(step, 1 - step)
-    return (inside + step * signs).reshape(painting.shape).to(painting.dtype)
+    return (inside + step * signs).reshape(style_image.shape).to(style_image.dtype)
 
 
 def spread_at_most(
-    painting: Tensor,  # [3, h, w] sRGB
+    style_image: Tensor,  # [3, h, w] sRGB
     content: Tensor,  # [n, 3] sRGB
     most: float,
     content_weights: Tensor | None = None,  # [n]
 ) -> Tensor:
-    """A painting [3, h, w] to take colors from, for which no spread of the content grows more than `most` times.
+    """Return the style image [3, h, w] with colors contracted so that matching stretches the content at most `most`x.
 
-    Exact matching to it then stretches no principal axis of the content's colors further; 0: any stretch. Along those
-    along which the painting spreads more, its colors are drawn in towards their mean, which they keep: with E the
-    content's axes, l_k its variances and V the painting's covariance, by E D E^T, D_k = min(1, most sqrt(l_k / (E^T V
-    E)_kk)). It may lie a little beyond 0..1: it is for its mean and covariance, not to be looked at.
+    Limits the gain along each principal axis of the content's colors; 0 for no limit. Where the style image varies
+    more, its colors are contracted towards their mean by E D E^T, D_k = min(1, most sqrt(l_k / (E^T V E)_kk)), with E
+    the content's axes, l_k its variances and V the style image's covariance. The result may leave 0..1 slightly; use
+    its mean and covariance only.
     """
     if most <= 0:
-        return painting
+        return style_image
     spread, axes = torch.linalg.eigh(color_statistics(content.cpu(), _on_cpu(content_weights))[1])
-    mean, covariance = color_statistics(painting.cpu().flatten(1).T)
+    mean, covariance = color_statistics(style_image.cpu().flatten(1).T)
     wanted = (axes.T @ covariance @ axes).diagonal().clamp_min(VARIANCE_FLOOR)
     drawn = (most * (spread.clamp_min(VARIANCE_FLOOR) / wanted).sqrt()).clamp_max(1.0)
     if bool((drawn == 1).all()):
-        return painting
+        return style_image
     matrix = (axes * drawn) @ axes.T
-    colors = (painting.cpu().double().flatten(1).T - mean) @ matrix.T + mean
-    return colors.T.reshape(painting.shape).to(painting)
+    colors = (style_image.cpu().double().flatten(1).T - mean) @ matrix.T + mean
+    return colors.T.reshape(style_image.shape).to(style_image)
 
 
-def strokes_in(painting: Tensor, least: float) -> float:
-    """0..1: what there is of strokes in a painting [3, h, w], its colors' spread (rms over channels) over `least`.
+def strokes_in(style_image: Tensor, least: float) -> float:
+    """Return how much texture a style image [3, h, w] has, 0..1: its standard deviation, rms over channels, / `least`.
 
-    Features of a blank one are alike everywhere: a scene that is taught them loses its own and gains noise.
+    Features of a blank image are the same everywhere; matching them erases a scene's own features and adds noise.
     """
     if least <= 0:
         return 1.0
-    flat = painting.double().flatten(1)
+    flat = style_image.double().flatten(1)
     spread = float((flat - flat.mean(1, keepdim=True)).square().mean()) ** 0.5
     return min(1.0, spread / least)
 
 
 def pixels_of(
-    images: Iterable[
-        Tensor
-    ],  # each [3 or 4, h, w], looked at once and let go; a fourth channel is straight alpha and becomes the weight
-    most: int = 200_000,
-    seed: int = 0,
-    count: int | None = None,  # pixels of all; needed where images are made one at a time
+    images: Iterable[Tensor], most: int = 200_000, seed: int = 0, count: int | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Colors [n, 3] and weights [n] of a set of images, a seeded sample of at most about `most` pixels.
+    """Sample colors [n, 3] and weights [n] of a set of images, the same fraction of pixels of each.
 
-    Every image gives the same share of its pixels, so that large ones count for more, as in the whole set.
+    Args:
+        images: [3 or 4, h, w] each; a fourth channel is straight alpha, which becomes the weight. Iterated over once.
+        most: Approximate limit of the sample.
+        seed: Of the sample.
+        count: Pixels of all images together; needed for an iterator.
     """
     if count is None:
         count = sum(image.shape[1] * image.shape[2] for image in images)

@@ -1,12 +1,11 @@
-"""Feature trunks: VGG-16 (and the first blocks of VGG-19) cut at the deepest layer wanted, weights frozen.
+"""Feature extractors: VGG-16, and the first blocks of VGG-19, cut at the deepest layer needed, with frozen weights.
 
-A trunk maps an sRGB image in [0, 1] to the ReLU outputs of named layers ("taps"): conv3_2 is the second convolution of
-the third block. Every architecture here is a chain of 3x3 convolutions, each followed by a ReLU, with a halving between
-blocks; sources differ in how the input is scaled, how borders are padded and how the halving is done.
+An extractor maps sRGB images 0..1 to the ReLU outputs of named layers: conv3_2 is the second convolution of the third
+block. Every architecture is a chain of 3x3 convolutions, each followed by a ReLU, with 2x downsampling between blocks.
+Sources of weights differ in the scaling of the input, the padding, and the downsampling.
 
-Weights come as a flat dictionary in one canonical form, whatever file they were read from:
-`conv1_1.weight` [out, in, 3, 3] and `conv1_1.bias` [out] float32, input channels in RGB order, and
-`input.scale`, `input.shift` [3]: the network sees scale * rgb + shift.
+Weights are a flat dictionary: `conv1_1.weight` [out, in, 3, 3] and `conv1_1.bias` [out] float32, input channels in RGB
+order, and `input.scale`, `input.shift` [3]: the network's input is scale * rgb + shift.
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,36 +17,38 @@ from torch import Tensor, nn
 
 from stylerf.errors import InvalidValue
 
-BLOCKS = {1: 2, 2: 2, 3: 3, 4: 3, 5: 3}  # convolutions per block of VGG-16; VGG-19 has the same up to conv3_3
+BLOCKS = {1: 2, 2: 2, 3: 3, 4: 3, 5: 3}  # convolutions in each block of VGG-16; VGG-19 agrees up to conv3_3
 LAYERS = tuple(f"conv{block}_{i}" for block, count in BLOCKS.items() for i in range(1, count + 1))
-BLUR_TAPS = (1.0, 2.0, 1.0)  # binomial filter of the shift-tolerant halving
+BLUR_KERNEL = (1.0, 2.0, 1.0)  # binomial filter of shift-tolerant downsampling
 
 
 @dataclass(frozen=True)
 class Architecture:
-    """What distinguishes one trunk from another beside its weights.
+    """How an extractor differs from others but for its weights.
 
-    padding: "zeros" or "reflect" before each 3x3 convolution. halving: "max" (2x2, stride 2, odd sizes cut), "max-ceil"
-    (odd sizes keep their last row and column), or "blur" (2x2 maximum at stride 1, then a 3x3 binomial filter at
-    stride 2 on a border reflected by 2: ST-LPIPS, Ghildyal and Liu 2022).
+    Attributes:
+        padding: "zeros" or "reflect", before each 3x3 convolution.
+        pooling: "max" (2x2, stride 2, odd sizes cut), "max-ceil" (odd sizes keep their last row and column), or "blur"
+            (2x2 maximum at stride 1, then a 3x3 binomial filter at stride 2 with reflection padding of 2: ST-LPIPS,
+            Ghildyal and Liu 2022).
     """
 
     padding: str = "zeros"
-    halving: str = "max"
+    pooling: str = "max"
 
 
 ARCHITECTURES = {
     "vgg16": Architecture(),
-    "vgg16-ceil": Architecture(halving="max-ceil"),
-    "vgg16-blur": Architecture(halving="blur"),
-    "vgg19-reflect": Architecture(padding="reflect", halving="max-ceil"),
+    "vgg16-ceil": Architecture(pooling="max-ceil"),
+    "vgg16-blur": Architecture(pooling="blur"),
+    "vgg19-reflect": Architecture(padding="reflect", pooling="max-ceil"),
 }
 
 
-def taps_of(names: str | Iterable[str]) -> tuple[str, ...]:
-    """Layer names from "conv3_1,conv3_2", from whole blocks ("conv3": all its layers), or from a sequence of either.
+def layers_of(names: str | Iterable[str]) -> tuple[str, ...]:
+    """Parse names of layers ("conv3_1,conv3_2") and of blocks ("conv3" for all its layers), or a sequence of them.
 
-    Returns them in network order without repeats. Raises InvalidValue on a name that is no layer.
+    Returns layers in network order, without repeats. Raises InvalidValue for an unknown name.
     """
     parts = [part.strip() for part in names.split(",")] if isinstance(names, str) else list(names)
     wanted = set()
@@ -60,97 +61,101 @@ def taps_of(names: str | Iterable[str]) -> tuple[str, ...]:
 
 
 class FeatureExtractor(nn.Module):
-    """A frozen chain of convolutions that returns the ReLU outputs of `taps`, in network order.
+    """A frozen chain of convolutions that returns the ReLU outputs of some of its layers, in network order.
 
-    Nothing past the deepest tap is built. Gradients flow to the image only. On the CPU weights and activations are kept
-    channels-last, which oneDNN runs 1.2 to 1.4 times faster (measured at 252x189 and 504x378, two threads).
+    Ends at the deepest of them. Gradients flow to the image only. Weights and activations are channels-last, which
+    oneDNN runs 1.2 to 1.4 times faster on the CPU (measured at 252x189 and 504x378, two threads).
+
+    Args:
+        state: Weights, in the module's format.
+        layers: Layers to return, as `layers_of` takes them.
+        architecture: One of ARCHITECTURES.
     """
 
-    def __init__(
-        self,
-        state: Mapping[str, Tensor],  # canonical weights, see the module
-        taps: str | Iterable[str],
-        architecture: str = "vgg16",
-    ):
+    input_scale: Tensor
+    input_shift: Tensor
+    blur: Tensor
+
+    def __init__(self, state: Mapping[str, Tensor], layers: str | Iterable[str], architecture: str = "vgg16") -> None:
         super().__init__()
         if architecture not in ARCHITECTURES:
-            raise InvalidValue(f"expected a trunk among {', '.join(ARCHITECTURES)}, found {architecture!r}")
-        self.taps = taps_of(taps)
+            raise InvalidValue(f"expected a feature extractor among {', '.join(ARCHITECTURES)}, found {architecture!r}")
+        self.layers = layers_of(layers)
         self.architecture = ARCHITECTURES[architecture]
-        self.layers = LAYERS[: LAYERS.index(self.taps[-1]) + 1]
-        missing = [f"{layer}.weight" for layer in self.layers if f"{layer}.weight" not in state]
+        self.built = LAYERS[: LAYERS.index(self.layers[-1]) + 1]
+        missing = [f"{layer}.weight" for layer in self.built if f"{layer}.weight" not in state]
         if missing:
-            raise InvalidValue(f"these weights end before {self.taps[-1]}: {missing[0]} is not among them")
+            raise InvalidValue(f"these weights end before {self.layers[-1]}: {missing[0]} is not among them")
         for name, key in (("input_scale", "input.scale"), ("input_shift", "input.shift")):
             self.register_buffer(name, state[key].detach().float().reshape(1, 3, 1, 1).clone())
-        for layer in self.layers:
+        for layer in self.built:
             weight = state[f"{layer}.weight"].detach().float().contiguous(memory_format=torch.channels_last)
             self.register_buffer(f"{layer}_weight", weight)
             self.register_buffer(f"{layer}_bias", state[f"{layer}.bias"].detach().float().clone())
-        blur = torch.tensor(BLUR_TAPS)
+        blur = torch.tensor(BLUR_KERNEL)
         self.register_buffer("blur", torch.outer(blur, blur) / blur.sum() ** 2)
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """Channels of each tap."""
-        return tuple(getattr(self, f"{tap}_weight").shape[0] for tap in self.taps)
+        """Number of channels of each returned layer."""
+        return tuple(self.get_buffer(f"{layer}_weight").shape[0] for layer in self.layers)
 
     @property
     def stride(self) -> int:
-        """Pixels between neighboring positions of the deepest tap."""
-        return 2 ** (int(self.taps[-1][4]) - 1)
+        """Pixels between neighboring positions of the deepest layer."""
+        return int(2 ** (int(self.layers[-1][4]) - 1))
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features of sRGB images in [0, 1], [n, 3, h, w] -> one [n, c, h', w'] >= 0 per tap, in network order.
+        """Return one feature map [n, c, h', w'] >= 0 for each layer, in network order, of sRGB images [n, 3, h, w].
 
-        Values outside [0, 1] are taken as they are. Raises InvalidValue for images too small for the deepest tap.
+        Images are 0..1 but not clamped. Raises InvalidValue if they are too small for the deepest layer.
         """
         if image.dim() != 4 or image.shape[1] != 3:
             raise InvalidValue(f"expected images [n, 3, height, width], found {tuple(image.shape)}")
         if min(image.shape[2:]) < 2 * self.stride:
             raise InvalidValue(
-                f"{self.taps[-1]} needs images of at least {2 * self.stride} pixels a side, "
+                f"{self.layers[-1]} needs images of at least {2 * self.stride} pixels a side, "
                 f"found {image.shape[3]}x{image.shape[2]}"
             )
         hidden = image * self.input_scale + self.input_shift
         hidden = hidden.contiguous(memory_format=torch.channels_last)
         found = []
-        for layer in self.layers:
+        for layer in self.built:
             if layer.endswith("_1") and layer != "conv1_1":
-                hidden = self._halve(hidden)
+                hidden = self._pool(hidden)
             hidden = self._convolve(hidden, layer)
-            if layer in self.taps:
+            if layer in self.layers:
                 found.append(hidden)
         return found
 
     def _convolve(self, hidden: Tensor, layer: str) -> Tensor:
-        weight, bias = getattr(self, f"{layer}_weight"), getattr(self, f"{layer}_bias")
+        weight, bias = self.get_buffer(f"{layer}_weight"), self.get_buffer(f"{layer}_bias")
         if self.architecture.padding == "reflect":
             hidden = F.conv2d(F.pad(hidden, (1, 1, 1, 1), mode="reflect"), weight, bias)
         else:
             hidden = F.conv2d(hidden, weight, bias, padding=1)
         return F.relu(hidden, inplace=True)
 
-    def _halve(self, hidden: Tensor) -> Tensor:
-        if self.architecture.halving == "blur":
+    def _pool(self, hidden: Tensor) -> Tensor:
+        if self.architecture.pooling == "blur":
             return blur_pool(F.max_pool2d(hidden, 2, stride=1), self.blur)
-        return F.max_pool2d(hidden, 2, ceil_mode=self.architecture.halving == "max-ceil")
+        return F.max_pool2d(hidden, 2, ceil_mode=self.architecture.pooling == "max-ceil")
 
 
 def blur_pool(hidden: Tensor, kernel: Tensor, padding: int = 2) -> Tensor:
-    """Each channel of [n, c, h, w] filtered by `kernel` [k, k] at stride 2, borders reflected by `padding` pixels."""
+    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding."""
     channels = hidden.shape[1]
     weight = kernel.to(hidden.dtype).expand(channels, 1, *kernel.shape)
     padded = F.pad(hidden, (padding,) * 4, mode="reflect")
     return F.conv2d(padded, weight, stride=2, groups=channels)
 
 
-def features(trunk: FeatureExtractor, image: Tensor, half_precision: torch.dtype | None = None) -> list[Tensor]:
-    """`trunk(image)`, in float32 on the CPU and under autocast to `half_precision` on CUDA when one is given.
+def features(extractor: FeatureExtractor, image: Tensor, half_precision: torch.dtype | None = None) -> list[Tensor]:
+    """Return `extractor(image)` as float32, computed on CUDA under autocast to `half_precision` if given.
 
-    Autocast is refused elsewhere: this kind of arithmetic is emulated, and slower, on most CPUs.
+    Not on the CPU, where half precision is mostly emulated and slower.
     """
     if half_precision is None or image.device.type != "cuda":
-        return trunk(image)
+        return list(extractor(image))
     with torch.autocast("cuda", dtype=half_precision):
-        return [feature.float() for feature in trunk(image)]
+        return [feature.float() for feature in extractor(image)]

@@ -1,4 +1,4 @@
-"""Nearest style feature of every position, by cosine, within a memory bound.
+"""Nearest style feature of every position, by cosine similarity, in bounded memory.
 
 Symbols: f content rows [n, c], s style rows [m, c] of unit length, j(i) = argmax_j <f_i, s_j> / |f_i|.
 """
@@ -10,12 +10,12 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 
-NORM_FLOOR = 1e-8  # added to every norm (ARF): a dead position has cosine 0 with everything instead of NaN
-STYLE_BLOCK = 4096  # style rows compared at once; with the running maximum the full matrix is never held
+NORM_FLOOR = 1e-8  # added to every norm (ARF), so that all-zero features have cosine 0 with everything, not NaN
+STYLE_BLOCK = 4096  # style rows compared at once; a running maximum avoids the full matrix
 
 
 def unit_rows(rows: Tensor) -> Tensor:
-    """[n, c] rows divided by their length + 1e-8; a zero row stays zero and has a zero gradient."""
+    """Divide rows [n, c] by their norm + 1e-8; a zero row stays zero and has a zero gradient."""
     return rows / (torch.linalg.vector_norm(rows, dim=1, keepdim=True) + NORM_FLOOR)
 
 
@@ -26,12 +26,16 @@ def nearest(
     memory_mb: float = 64.0,
     half: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Index [n] of the style row of greatest cosine, and that cosine [n].
+    """Find the style row of largest cosine similarity, without gradients. Ties go to the first row.
 
-    Products are float32 (float64 for float64 rows); half: on CUDA the choice is made from features and products in
-    float16, and the cosine returned is the rounded one. Rows of unit length need none of bfloat16's range, and its
-    cosines would lie 0.004 apart, eight times as far. Of equals the first row wins. Never holds more than `memory_mb`
-    of similarities. No gradient.
+    Args:
+        content: Rows.
+        style: Rows of unit length.
+        memory_mb: Limit of the similarities held at a time.
+        half: On CUDA, compare in float16, whose steps at unit length are an eighth of bfloat16's 0.004.
+
+    Returns:
+        Index [n] of the style row, and its cosine [n], rounded with `half`.
     """
     if content.dim() != 2 or style.dim() != 2 or content.shape[1] != style.shape[1] or style.shape[0] == 0:
         raise InvalidValue(
@@ -57,10 +61,12 @@ def nearest(
 
 @dataclass(frozen=True)
 class StyleRows:
-    """The painting's features at one block of the trunk: fixed, of unit length, computed once.
+    """Features of the style image in one block, of unit length, computed once.
 
-    rows: [m, c]. basis: None, or [c, r] orthonormal directions in which candidates are sought (see `with_basis`);
-    short: rows @ basis, [m, r].
+    Attributes:
+        rows: [m, c].
+        basis: [c, r] orthonormal directions to search in (see `with_basis`), or None.
+        short: rows @ basis, [m, r].
     """
 
     rows: Tensor
@@ -68,16 +74,16 @@ class StyleRows:
     short: Tensor | None = None
 
     def match(self, content: Tensor, memory_mb: float = 64.0, half: bool = False) -> Tensor:  # [n] index
-        """j(i) for content rows [n, c]: exact without a basis, else the best within the basis' directions."""
-        if self.basis is None:
+        """Return j(i) for content rows [n, c]: exact without a basis, else the best in the basis' directions."""
+        if self.basis is None or self.short is None:
             return nearest(content, self.rows, memory_mb, half)[0]
-        # The argument of the maximum does not depend on the query's length, so the short query needs no rescaling.
+        # The argmax does not depend on the query's norm, so the projected query needs no rescaling.
         return nearest(content.detach() @ self.basis, self.short, memory_mb, half)[0]
 
     def with_basis(self, rank: int) -> "StyleRows":
-        """The same rows, matched through the `rank` leading directions of their second moment: c/rank times less work.
+        """Return these rows with a search in the `rank` leading directions of their second moment: c/rank times faster.
 
-        <f, s> loses only the part of s outside these directions. `matching_error` tells what that costs.
+        <f, s> loses the part of s outside these directions; `matching_error` measures the cost.
         """
         if not 1 <= rank <= self.rows.shape[1]:
             raise InvalidValue(f"expected a rank from 1 to {self.rows.shape[1]}, found {rank}")
@@ -87,10 +93,14 @@ class StyleRows:
 
 
 def style_rows(features: Tensor, most: int | None = 4096, method: str = "sample", seed: int = 0) -> StyleRows:
-    """Unit rows of a painting's features [c, h, w], at most `most` of them (None: all).
+    """Return unit rows of a style image's features [c, h, w].
 
-    method "sample" keeps a seeded random subset; "cluster" runs k-means on the sphere and keeps the member nearest to
-    each center (a real feature: centers are blends that no stroke has).
+    Args:
+        features: [c, h, w].
+        most: Largest number of rows to keep; None for all.
+        method: "sample" keeps a random subset; "cluster" the members nearest to the centers of spherical k-means (the
+            centers themselves are blends that no stroke has).
+        seed: Of the choice.
     """
     rows = unit_rows(rows_of(features.detach()))
     if most is not None and rows.shape[0] > most:
@@ -101,21 +111,21 @@ def style_rows(features: Tensor, most: int | None = 4096, method: str = "sample"
 
 
 def rows_of(features: Tensor) -> Tensor:
-    """[c, h, w] -> [h*w, c], row by row of the image."""
+    """Reshape [c, h, w] to [h*w, c]."""
     return features.flatten(1).T
 
 
 def sample(rows: Tensor, count: int, seed: int) -> Tensor:
-    """`count` distinct rows of [m, c] drawn without replacement, in their order; drawn on the CPU on every device."""
+    """Draw `count` rows of [m, c] without replacement, in their order; always on the CPU, for equal results."""
     chosen = torch.randperm(rows.shape[0], generator=torch.Generator().manual_seed(seed))[:count].sort().values
     return rows[chosen.to(rows.device)]
 
 
 def cluster(rows: Tensor, count: int, seed: int, rounds: int = 4) -> Tensor:
-    """`count` members of the unit rows [m, c], each the nearest to a center of spherical k-means (`rounds` rounds).
+    """Return `count` of the unit rows [m, c], those nearest to the centers of spherical k-means.
 
-    An emptied cluster takes the row worst served so far. Fewer than `count` rows come back only when members coincide.
-    Runs on the CPU, where sums have one order; it is done once.
+    An empty cluster takes the row farthest from its center. Returns fewer rows only if members coincide. Runs on the
+    CPU, where sums are deterministic.
     """
     device, rows = rows.device, rows.cpu()
     centers = sample(rows, count, seed)
@@ -131,10 +141,11 @@ def cluster(rows: Tensor, count: int, seed: int, rounds: int = 4) -> Tensor:
 
 
 def matching_error(content: Tensor, full: StyleRows, reduced: StyleRows) -> dict[str, float]:
-    """What matching content rows [n, c] against `reduced` instead of `full` costs.
+    """Measure the cost of matching content rows [n, c] to `reduced` instead of `full`.
 
-    "distance": mean of 1 - cos against the full set; "excess": mean cosine lost by the reduced match (>= 0 up to
-    rounding); "worst": the greatest single loss.
+    Returns:
+        "distance": mean of 1 - cos to the full set; "excess": mean cosine lost by the reduced match (>= 0 up to
+        rounding); "worst": the largest loss.
     """
     queries = unit_rows(content.detach())
     exact = (queries * full.rows[nearest(content, full.rows)[0]]).sum(dim=1)

@@ -1,4 +1,4 @@
-"""A picture alone, painted by optimizing its pixels (Gatys et al. 2016), a step at a time."""
+"""Stylization of a single image by optimizing its pixels (Gatys et al. 2016)."""
 
 from collections.abc import Callable
 
@@ -6,17 +6,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
-FIRST, SECOND, FLOOR = 0.9, 0.99, 1e-8  # decays of Adam's moments, and what is added to the root of the second
+FIRST, SECOND, FLOOR = 0.9, 0.99, 1e-8  # Adam's betas and epsilon
 
 Loss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]
 
 
 class ImageOptimization:
-    """Straight colors that learn by Adam; what is seen is alpha colors + (1 - alpha) background.
+    """Optimizes straight colors by Adam; the visible image is alpha colors + (1 - alpha) background.
 
-    start: [3, h, w] over the background, sRGB 0..1. alpha: [h, w], None where all is covered. background: a level of
-    gray, or a picture [3, h, w] of which only a part is painted. Adam moves every color
-    by about `rate` a step, however small its gradient: where the coverage is small, so is what is seen of that.
+    Adam moves every color by about `rate` in each step, however small its gradient; at low alpha little of it shows.
+
+    Args:
+        start: [3, h, w] over the background, sRGB 0..1.
+        alpha: [h, w], or None for 1 everywhere.
+        background: A gray level, or an image [3, h, w].
+        rate: Adam's learning rate.
     """
 
     def __init__(self, start: Tensor, alpha: Tensor | None, background: float | Tensor, rate: float) -> None:
@@ -26,12 +30,12 @@ class ImageOptimization:
         self.first, self.second, self.steps = torch.zeros_like(start), torch.zeros_like(start), 0
 
     def seen(self, colors: Tensor | None = None) -> Tensor:
-        """[3, h, w] over the background."""
+        """Return the visible image [3, h, w]."""
         colors = self.colors if colors is None else colors
         return colors if self.alpha is None else self.alpha * colors + (1 - self.alpha) * self.background
 
     def step(self, loss: Loss, factor: float = 1.0) -> dict[str, float]:
-        """One step with `factor` of the rate; the parts of the loss before it. Colors stay in 0..1."""
+        """Take one step at `factor` times the rate, keeping colors in 0..1; return the loss terms before it."""
         colors = self.colors.clone().requires_grad_()
         total, parts = loss(self.seen(colors))
         (gradient,) = torch.autograd.grad(total, colors)
@@ -43,16 +47,16 @@ class ImageOptimization:
         return parts
 
     def pixels(self) -> np.ndarray:
-        """[h, w, 3] float32 over the background."""
+        """Return the visible image as [h, w, 3] float32."""
         return np.ascontiguousarray(self.seen().permute(1, 2, 0).cpu().numpy())
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What a checkpoint needs."""
+        """Return the state for a checkpoint."""
         moments = {"colors": self.colors, "first": self.first, "second": self.second}
         return {k: v.cpu().numpy().copy() for k, v in moments.items()} | {"steps": np.asarray([self.steps])}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays()."""
+        """Restore the state from arrays()."""
         for name in ("colors", "first", "second"):
             getattr(self, name).copy_(torch.from_numpy(arrays[name]))
         self.steps = int(arrays["steps"][0])
@@ -67,9 +71,16 @@ def painted(
     rate: float,
     enough: Callable[[], bool] = lambda: False,
 ) -> tuple[np.ndarray, dict[str, float]]:
-    """(picture [h, w, 3] float32, the loss's parts before the last step) after so many steps whose size falls to 0.
+    """Optimize an image with a learning rate that decays linearly to 0.
 
-    enough: asked after every step, whether that was the last; one is made in any case.
+    Args:
+        start, alpha, background, rate: See ImageOptimization.
+        loss: Maps an image [3, h, w] to the loss and its terms.
+        steps: Number of steps.
+        enough: Called after every step; True ends early.
+
+    Returns:
+        The image [h, w, 3] float32 and the loss terms before the last step.
     """
     made = ImageOptimization(start, alpha, background, rate)
     for at in range(steps):

@@ -1,11 +1,11 @@
-"""What a view is asked to be where one or a few views are given stylized: the reference's look where its content is.
+"""The loss of a view given stylized references: content is matched to the references, and takes their style.
 
-Ref-NPR's template-based correspondence (Zhang et al. 2023, section 3.3). Of each reference there are two pictures of
-the same view: the template (its photo) and the stylized one. Symbols: F features of a block of the trunk.
+Ref-NPR's template-based correspondence (Zhang et al. 2023, section 3.3). Each reference view has a photo, which Ref-NPR
+calls the template, and a stylized version. With F the features of a block:
 
-    j(i) = argmin_j 1 - cos(F_photo,i , F_template,j)            content finds content
-    style = mean_i 1 - cos(F_render,i , F_stylized,j(i))         and takes over the look that it has there
-    color: the same in coarse cells, of their mean colors; a match at a cosine distance over 0.6 says nothing
+    j(i) = argmin_j 1 - cos(F_photo,i , F_reference,j)           match content to the references' photos
+    style = mean_i 1 - cos(F_render,i , F_stylized,j(i))         apply their style there
+    color: the same for mean colors of coarse cells; matches at a cosine distance over 0.6 are ignored
 """
 
 from collections.abc import Sequence
@@ -17,20 +17,19 @@ from torch import Tensor
 
 from stylerf.style.feature_extractor import FeatureExtractor, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
-from stylerf.style.image_sizes import feature_size, resized
 from stylerf.style.losses import by_block, content_distance, nearest_neighbor_distance, position_weights
-from stylerf.style.style_objective import EVERYTHING, VARIATIONS, StyleWeights, Window
+from stylerf.style.style_objective import EVERYTHING, VARIATIONS, StyleWeights, Window, features_of, weighted_sum
 
-COARSE_PIXELS = 16  # of the picture, a coarse cell's side (Ref-NPR: 1/16 of its size)
-STRANGE = 0.6  # cosine distance over which a coarse match says nothing (Ref-NPR)
-MOST_ROWS = 16384  # features of the references that are matched against
+COARSE_PIXELS = 16  # side of a coarse cell, pixels (Ref-NPR: 1/16 of the image)
+UNRELATED = 0.6  # cosine distance over which a coarse match is ignored (Ref-NPR)
+MOST_ROWS = 16384  # reference features kept for matching
 
-Matches = dict[str, Tensor]  # by block: [n] int32, for the positions that count
+Matches = dict[str, Tensor]  # by block: [n] int32, for the positions inside alpha
 
 
 @dataclass(frozen=True)
 class ReferenceFeatures:
-    """A reference view: its photo and its stylized picture, [3, h, w]; alpha [h, w] or None; the window that counts."""
+    """A reference view: photo and stylized image [3, h, w], alpha [h, w] or None, and the window to use."""
 
     photo: Tensor
     stylized: Tensor
@@ -40,10 +39,14 @@ class ReferenceFeatures:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a view is asked to be: matches, the photo's features by block (half precision), colors of coarse cells.
+    """Targets of a view.
 
-    colors: [3, few, few]. trusted: [few, few], 1 where a cell's match says something, times its coverage. covered: the
-    coverage of all cells together.
+    Attributes:
+        matches: Reference positions, by block.
+        content: The photo's features by block, in half precision.
+        colors: [3, rows, columns], colors of coarse cells.
+        trusted: [rows, columns], the coverage of cells with a usable match, 0 for others.
+        covered: Coverage, summed over all cells.
     """
 
     matches: Matches
@@ -54,66 +57,71 @@ class Wanted:
 
     @property
     def bytes(self) -> int:
-        """Memory it takes."""
+        """Memory used."""
         held = (*self.matches.values(), *self.content.values(), self.colors, self.trusted)
         return sum(t.numel() * t.element_size() for t in held)
 
 
 class ReferenceObjective:
-    """Loss of a picture [3, h, w] by its correspondences with the references.
+    """The loss of an image [3, h, w] by its correspondences with references.
 
-    trunk: its taps' blocks are matched, each by itself (Ref-NPR: conv3 and conv4). coarse: a trunk whose deepest
-    block finds coarse matches (Ref-NPR: conv5), in pictures of full size. weights: style, content in the mean square of
-    the stylized pictures' features (docs/decisions/0010), variation, coarse color. scale: size of the picture that
-    features are taken from.
+    Args:
+        extractor: Its blocks are matched separately (Ref-NPR: conv3 and conv4).
+        coarse: Its deepest block, at full resolution, finds the coarse matches (Ref-NPR: conv5).
+        references: At least one.
+        weights: Of the loss terms; content is relative to the mean squared feature of the stylized references
+            (docs/decisions/0010).
+        scale: Scale of the images that features are extracted from.
+        basis: Leading directions in which matches are searched; 0 for all, exact.
+        seed: Of the choice of reference features.
+        variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
     """
 
     def __init__(
         self,
-        trunk: FeatureExtractor,
+        extractor: FeatureExtractor,
         coarse: FeatureExtractor,
-        templates: Sequence[ReferenceFeatures],
+        references: Sequence[ReferenceFeatures],
         weights: StyleWeights,
         scale: float = 0.5,
         basis: int = 96,
         seed: int = 0,
         variation: str = "squared",
     ) -> None:
-        self.trunk, self.coarse, self.weights, self.scale = trunk, coarse, weights, scale
-        self.templates, self.basis, self.seed = list(templates), basis, seed
+        self.extractor, self.coarse, self.weights, self.scale = extractor, coarse, weights, scale
+        self.references, self.basis, self.seed = list(references), basis, seed
         self.variation = VARIATIONS[variation]
-        self.device = trunk.input_scale.device
-        self.half, self.memory_mb = (torch.bfloat16, 1024.0) if self.device.type == "cuda" else (None, 64.0)
+        self.device = extractor.input_scale.device
+        on_gpu = self.device.type == "cuda"
+        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
         with torch.no_grad():
-            stylized = self._rows_of([t.stylized for t in self.templates])
+            stylized = self._rows_of([reference.stylized for reference in self.references])
             self.stylized = {block: StyleRows(unit_rows(rows)) for block, rows in stylized.items()}
             self.unit = {block: float(rows.square().mean().clamp_min(1e-12)) for block, rows in stylized.items()}
-            self.keys = self.keys_of([t.photo for t in self.templates])
-            cells = [self._cells(t) for t in self.templates]
+            self.keys = self.keys_of([reference.photo for reference in self.references])
+            cells = [self._cells(reference) for reference in self.references]
             self.coarse_keys = torch.cat([keys for keys, _ in cells])
             self.coarse_colors = torch.cat([colors for _, colors in cells])
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Features by block of a window of a picture [3, h, w], at the feature scale."""
-        part = picture[:, *window]
-        small = resized(part, *feature_size(*part.shape[1:], self.scale))
-        return by_block(self.trunk.taps, features(self.trunk, small[None], self.half))
+        """Return features by block of a window of an image [3, h, w], at the feature scale."""
+        return features_of(self.extractor, picture[:, *window], self.scale, self.half)
 
     def _rows_of(self, pictures: Sequence[Tensor]) -> dict[str, Tensor]:
-        """Features by block, [n, c], of one picture a reference, where it counts: the same positions of each kind."""
+        """Return features by block, [n, c], of one image for each reference, at positions inside its alpha."""
         found: dict[str, list[Tensor]] = {}
-        for template, picture in zip(self.templates, pictures, strict=True):
-            for block, feature in self.features_of(picture, template.window).items():
+        for reference, picture in zip(self.references, pictures, strict=True):
+            for block, feature in self.features_of(picture, reference.window).items():
                 rows = rows_of(feature)
-                if template.alpha is not None:
-                    rows = rows[position_weights(template.alpha[template.window], feature).flatten() > 0]
+                if reference.alpha is not None:
+                    rows = rows[position_weights(reference.alpha[reference.window], feature).flatten() > 0]
                 found.setdefault(block, []).append(rows)
-        rows = {block: torch.cat(parts) for block, parts in found.items()}
-        return {b: sample(r, MOST_ROWS, self.seed) if len(r) > MOST_ROWS else r for b, r in rows.items()}
+        joined = {block: torch.cat(parts) for block, parts in found.items()}
+        return {b: sample(r, MOST_ROWS, self.seed) if len(r) > MOST_ROWS else r for b, r in joined.items()}
 
     @torch.no_grad()
     def keys_of(self, pictures: Sequence[Tensor]) -> dict[str, StyleRows]:
-        """What matches are sought among, by block: features of the references as `pictures` show them."""
+        """Return the features of the references, as shown by `pictures`, that matches are searched among, by block."""
         rows = {block: StyleRows(unit_rows(one)) for block, one in self._rows_of(pictures).items()}
         return {b: r.with_basis(self.basis) if 0 < self.basis < r.rows.shape[1] else r for b, r in rows.items()}
 
@@ -121,7 +129,7 @@ class ReferenceObjective:
     def matches_of(
         self, found: dict[str, Tensor], keys: dict[str, StyleRows], alpha: Tensor | None, window: Window
     ) -> Matches:
-        """The reference's position of each of a view's, by its features; of those that count alone."""
+        """Match a view's features to the references; only positions inside alpha."""
         matches = {}
         for block, feature in found.items():
             rows = rows_of(feature)
@@ -131,7 +139,7 @@ class ReferenceObjective:
         return matches
 
     def _cells(self, one: ReferenceFeatures) -> tuple[Tensor, Tensor]:
-        """(features [n, c], stylized colors [n, 3]) of a reference's coarse cells that see the object."""
+        """Return features [n, c] and stylized colors [n, 3] of a reference's coarse cells that show the object."""
         keys, size = self._coarse_features(one.photo, one.window)
         colors = rows_of(F.adaptive_avg_pool2d(one.stylized[:, *one.window], size))
         if one.alpha is not None:
@@ -141,20 +149,23 @@ class ReferenceObjective:
         return unit_rows(keys), colors
 
     def _coarse_features(self, photo: Tensor, window: Window) -> tuple[Tensor, tuple[int, int]]:
-        """([cells, c], (rows, columns)) of the coarse trunk's deepest block, a cell COARSE_PIXELS wide or wider."""
+        """Return features [cells, c] of the coarse extractor's deepest block, and the grid's (rows, columns).
+
+        Cells are at least COARSE_PIXELS wide.
+        """
         part = photo[:, *window]
-        blocks = by_block(self.coarse.taps, features(self.coarse, part[None], self.half))
+        blocks = by_block(self.coarse.layers, features(self.coarse, part[None], self.half))
         feature = blocks[max(blocks)]
-        size = tuple(min(n, -(-length // COARSE_PIXELS)) for n, length in zip(feature.shape[1:], part.shape[1:]))
-        return rows_of(F.adaptive_avg_pool2d(feature, size)), size
+        rows, columns = (min(n, -(-side // COARSE_PIXELS)) for n, side in zip(feature.shape[1:], part.shape[1:]))
+        return rows_of(F.adaptive_avg_pool2d(feature, (rows, columns))), (rows, columns)
 
     @torch.no_grad()
     def wanted(self, photo: Tensor, alpha: Tensor | None = None, window: Window = EVERYTHING) -> Wanted:
-        """What the view of a photo [3, h, w] is asked to be."""
+        """Return the targets of the view of a photo [3, h, w]."""
         found = self.features_of(photo, window)
         keys, size = self._coarse_features(photo, window)
         place, cosine = nearest(keys, self.coarse_keys, self.memory_mb)
-        trusted = (1 - cosine <= STRANGE).float().reshape(size)
+        trusted = (1 - cosine <= UNRELATED).float().reshape(size)
         covers = torch.ones_like(trusted)
         if alpha is not None:
             covers = F.adaptive_avg_pool2d(alpha[window][None], size)[0]
@@ -166,25 +177,25 @@ class ReferenceObjective:
     def __call__(
         self, picture: Tensor, wanted: Wanted, alpha: Tensor | None = None, window: Window = EVERYTHING
     ) -> tuple[Tensor, dict[str, float]]:
-        """(loss, its parts) of a view's picture over the background."""
+        """Return the loss of a rendered view [3, h, w], over the background, and its terms."""
         found = self.features_of(picture, window)
         style, content = self.style_distance(found, wanted.matches, alpha, window), picture.new_zeros(())
         for block, feature in found.items():
             weights = self._weights(feature, alpha, window)
             apart = content_distance(feature, wanted.content[block].float()) / self.unit[block]
             content = content + (apart * weights).sum() / weights.sum().clamp_min(1e-6)
-        cells = F.adaptive_avg_pool2d(picture[:, *window], wanted.trusted.shape)
+        rows, columns = wanted.trusted.shape
+        cells = F.adaptive_avg_pool2d(picture[:, *window], (rows, columns))
         apart = (cells - wanted.colors).square().mean(0)
         color = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
         parts = {"style": style, "content": content, "variation": self.variation(picture), "color": color}
-        loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
-        return loss, {name: float(part.detach()) for name, part in parts.items()}
+        return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
 
     def style_distance(
         self, found: dict[str, Tensor], matches: Matches, alpha: Tensor | None, window: Window
     ) -> Tensor:
-        """Mean over positions of 1 - cos(F_render,i , F_stylized,j(i)), summed over blocks."""
-        total = 0.0
+        """Return the mean over positions of 1 - cos(F_render,i , F_stylized,j(i)), summed over blocks."""
+        total = torch.zeros((), device=self.device)
         for block, feature in found.items():
             weights = None if alpha is None else self._weights(feature, alpha, window)
             distances, _ = nearest_neighbor_distance(

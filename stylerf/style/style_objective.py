@@ -1,7 +1,9 @@
-"""What a stylized view is asked to be: the painting's features, the photo's content, and smooth (ARF eq. 4); and where
-the photo, in the painting's colors, is dark, bright or yellow, to stay so as a whole.
+"""The loss of a stylized view: style features, content, total variation (ARF eq. 4), and local mean colors.
+
+The color term keeps regions of the photo, in the style image's colors, as dark, bright or yellow as they are.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,20 +25,26 @@ from stylerf.style.losses import (
     position_weights,
 )
 
-CELLS = 32  # of the longer side: the grain at which colors are kept
-Window = tuple[slice, slice]  # rows and columns of a picture
+CELLS = 32  # along the longer side: the resolution at which colors are kept
+Window = tuple[slice, slice]  # rows and columns of an image
 EVERYTHING: Window = (slice(None), slice(None))
-VARIATIONS = {"squared": image_variation, "diagonal": lambda picture: diagonal_variation(picture).mean()}
+VARIATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+    "squared": image_variation,
+    "diagonal": lambda picture: diagonal_variation(picture).mean(),
+}
 
 
 @dataclass(frozen=True)
 class StyleWeights:
-    """Weights of the mean nearest-neighbor distance, content distance, total variation and color distance.
+    """Weights of the loss terms.
 
-    The content distance is counted in units of the painting's own mean squared feature: trunks differ ten thousandfold
-    in their features' squares, so that a weight in the features' own units (ARF: 1e-3) means nothing without the trunk.
-    The color distance is the mean squared difference of the mean colors of cells a 32nd of the picture wide: features
-    hardly see color, which drifts where nothing holds it (docs/decisions/0012).
+    Attributes:
+        style: Of the mean nearest-neighbor distance.
+        content: Of the content distance, relative to the style image's mean squared feature: squared features of
+            different extractors differ by a factor of up to 10,000, so absolute weights (ARF: 1e-3) do not transfer.
+        variation: Of the total variation.
+        color: Of the mean squared difference of the mean colors of CELLS cells: features hardly depend on color, which
+            would drift otherwise (docs/decisions/0012).
     """
 
     style: float = 1.0
@@ -46,38 +54,47 @@ class StyleWeights:
 
     @property
     def need_photo(self) -> bool:
-        """Whether anything of the photo is kept at all."""
+        """Whether any term depends on the photo."""
         return self.content > 0 or self.color > 0
 
 
 @dataclass(frozen=True)
 class Content:
-    """What a view keeps of its photo: features by block, and the mean colors of its cells [3, few, few]."""
+    """Targets from a view's photo: features by block, and mean colors of cells [3, rows, columns]."""
 
     features: dict[str, Tensor]
     colors: Tensor
 
     @property
     def bytes(self) -> int:
-        """Memory it takes."""
+        """Memory used."""
         return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors))
 
 
 class StyleObjective:
-    """Loss of a picture [3, h, w] against a painting, with the painting's features computed once.
+    """The loss of an image [3, h, w] for a style image whose features are computed once.
 
-    Pictures, photos and alphas lie where the trunk does. On a GPU the trunk runs in bfloat16 and neighbors are sought
-    among unit rows in float16; what is summed up is float32.
+    All tensors are on the feature extractor's device. On a GPU it runs in bfloat16, and neighbors are searched in
+    float16; sums are float32.
 
-    scale: size of the picture that features are taken from (0.5: ARF). most_rows: style features kept for matching;
-    basis: leading directions in which neighbors are sought (0: all, exact). variation: squared (ARF) or diagonal
-    (DeSRF eq. 6, its mean over pixels). around: feature positions beside the object that count too.
+    Args:
+        extractor: The layers whose features are matched.
+        style_image: [3, h, w].
+        size: Height and width of the content images.
+        weights: Of the loss terms.
+        scale: Scale of the images that features are extracted from (ARF: 0.5).
+        most_rows: Style features kept for matching.
+        basis: Leading directions in which neighbors are searched; 0 for all, exact.
+        style_scale: Scale of the style image, relative to `scale`.
+        seed: Of the choice of style features.
+        variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
+        around: Feature positions next to the object that count too.
     """
 
     def __init__(
         self,
-        trunk: FeatureExtractor,
-        painting: Tensor,
+        extractor: FeatureExtractor,
+        style_image: Tensor,
         size: tuple[int, int],
         weights: StyleWeights,
         scale: float = 0.5,
@@ -90,47 +107,49 @@ class StyleObjective:
     ) -> None:
         self.around = around
         self.variation = VARIATIONS[variation]
-        self.trunk, self.weights, self.scale = trunk, weights, scale
-        self.device = trunk.input_scale.device
-        self.half, self.memory_mb = (torch.bfloat16, 1024.0) if self.device.type == "cuda" else (None, 64.0)
-        picture = style_picture(painting, *size, scale=scale * style_scale).to(self.device)
+        self.extractor, self.weights, self.scale = extractor, weights, scale
+        self.device = extractor.input_scale.device
+        on_gpu = self.device.type == "cuda"
+        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
+        picture = style_picture(style_image, *size, scale=scale * style_scale).to(self.device)
         with torch.no_grad():
-            found = by_block(trunk.taps, features(trunk, picture[None], self.half))
+            found = by_block(extractor.layers, features(extractor, picture[None], self.half))
         self.style: dict[str, StyleRows] = {}
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
         self._keep(found, most_rows, basis, seed)
 
     def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        """What of the painting's features [c, h, w] pictures are set against."""
+        """Store what is needed of the style image's features [c, h, w], by block."""
         for block, feature in found.items():
             rows = style_rows(feature, most_rows, seed=seed)
             self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
-        """Of one block of a picture's features [c, h, w]; weights [h, w]: where it counts."""
+        """Return the style distance of features [c, h, w] of one block; weights [h, w]."""
         distances, _ = nearest_neighbor_distance(
             feature, self.style[block], weights, self.memory_mb, self.half is not None
         )
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Features by block of a window of a picture [3, h, w], at the feature scale."""
-        part = picture[:, *window]
-        small = resized(part, *feature_size(*part.shape[1:], self.scale))
-        return by_block(self.trunk.taps, features(self.trunk, small[None], self.half))
+        """Return features by block of a window of an image [3, h, w], at the feature scale."""
+        return features_of(self.extractor, picture[:, *window], self.scale, self.half)
 
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
-        """What a view is to keep of a photo [3, h, w]; features in half precision (it is held for every view)."""
+        """Return the targets from a photo [3, h, w], in half precision, as they are held for every view."""
         return Content({block: f.half() for block, f in self.features_of(photo, window).items()}, cell_colors(photo))
 
     def __call__(
         self, picture: Tensor, content: Content | None, alpha: Tensor | None = None, window: Window = EVERYTHING
     ) -> tuple[Tensor, dict[str, float]]:
-        """(loss, its parts). alpha [h, w]: where the object is; what lies outside is neither matched nor kept.
+        """Return the loss of an image and its terms.
 
-        content: None where nothing is kept (StyleWeights.need_photo). window: features are taken from it alone (see
-        window_of), the content's too.
+        Args:
+            picture: [3, h, w], over the background.
+            content: Targets from the photo; None if unused (see StyleWeights.need_photo).
+            alpha: [h, w], the object; what lies outside is ignored.
+            window: The part that features are extracted from, the same as for `content` (see window_of).
         """
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
@@ -148,16 +167,30 @@ class StyleObjective:
             weights = torch.ones_like(apart) if alpha is None else cell_colors(alpha[None])[0]
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
-        loss = sum(getattr(self.weights, name) * part for name, part in parts.items())
-        return loss, {name: float(part.detach()) for name, part in parts.items()}
+        return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
+
+
+def features_of(
+    extractor: FeatureExtractor, picture: Tensor, scale: float, half: torch.dtype | None
+) -> dict[str, Tensor]:
+    """Return features by block of an image [3, h, w], extracted at `scale`."""
+    height, width = picture.shape[1:]
+    small = resized(picture, *feature_size(height, width, scale))
+    return by_block(extractor.layers, features(extractor, small[None], half))
+
+
+def weighted_sum(weights: StyleWeights, parts: Mapping[str, Tensor]) -> Tensor:
+    """Return the loss from its terms, in their order."""
+    first, *rest = (getattr(weights, name) * part for name, part in parts.items())
+    return sum(rest, first)
 
 
 class GramObjective(StyleObjective):
-    """The same with the distance of Gram matrices (Gatys et al. 2016) in the place of nearest neighbors.
+    """StyleObjective with the distance of Gram matrices (Gatys et al. 2016) instead of nearest neighbors.
 
-    Per block, sum (G - S)^2 / sum S^2 with G, S the Gram matrices of the picture and the painting: 1 for a picture
-    without features, 0 for the painting, whatever the trunk (docs/decisions/0010). What is summed up is their mean over
-    blocks. Blocks whose coverage is nil are at distance 0.
+    The mean over blocks of sum (G - S)^2 / sum S^2, with G, S the Gram matrices of the image and the style image: 1 for
+    an image without features, 0 for the style image, with any extractor (docs/decisions/0010). Blocks without coverage
+    have distance 0.
     """
 
     def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
@@ -171,12 +204,15 @@ class GramObjective(StyleObjective):
 
 
 def window_of(alpha: np.ndarray, least: int = 0) -> Window:
-    """The part of a view [h, w] that its object fills, with a margin of a 16th of the longer side and 8 pixels more.
+    """Return the part of a view [h, w] that the object fills, plus a margin of 1/16 of the longer side and 8 pixels.
 
-    Most of a view of an object is background, which costs the trunk as much as the object does and counts for nothing.
-    The margin is for shapes that move and for what a feature sees around it. Sides begin and end at multiples of 8,
-    where the view has the room, so that pooled features lie as they would in the whole. least: pixels a side that it
-    has at least, where the view has them. The whole view where nothing is seen.
+    Background costs the feature extractor as much as the object, for nothing. The margin allows for moving geometry and
+    receptive fields. Sides are at multiples of 8 where possible, so that pooling aligns with that of the whole view.
+    Returns the whole view if it is empty.
+
+    Args:
+        alpha: [h, w].
+        least: Smallest side of the window, if the view is as large.
     """
     margin = round(max(alpha.shape) / 16) + 8
     sides = []
@@ -193,7 +229,7 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
 
 
 def cell_colors(picture: Tensor) -> Tensor:
-    """Mean colors of a picture [c, h, w] in CELLS cells along its longer side, as many for their size on the other."""
+    """Return the mean colors of an image [c, h, w] in CELLS square cells along its longer side."""
     height, width = picture.shape[1:]
     share = min(1.0, CELLS / max(height, width))
     return F.adaptive_avg_pool2d(picture, (max(1, round(height * share)), max(1, round(width * share))))

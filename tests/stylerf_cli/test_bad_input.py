@@ -337,7 +337,7 @@ def test_cameras_of_llff_at_one_point(source, capsys):
     rows = capture.llff()
     rows[:, [3, 8, 13]] = 0.1, 0.2, 0.3
     np.save(source / "poses_bounds.npy", rows)
-    assert "all cameras stand at one point" in refused(source, capsys)
+    assert "all cameras are at one point" in refused(source, capsys)
 
 
 @pytest.mark.parametrize("name", ["transforms.json", "transforms_a.json"])

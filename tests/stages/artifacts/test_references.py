@@ -12,7 +12,7 @@ from schemas.images import write_png
 from stages.artifacts.references import digest_of, read_references, training_view
 from stages.configs.stylize import StylizeConfig
 from stages.stylization.settings import coarse_taps, match_of, painting_loss, painting_taps, settings_of, template_taps
-from stylerf.style.feature_extractor import LAYERS, taps_of
+from stylerf.style.feature_extractor import LAYERS, layers_of
 
 WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS}
 
@@ -84,7 +84,7 @@ def test_the_digest_is_of_views_and_content(tmp_path):
 def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
     config = StylizeConfig(**{"style": "" if "reference" in options else "x"} | options)
     found = painting_loss(config), painting_taps(config, WEIGHTS), match_of(config)
-    wanted = ",".join(taps_of(taps)) if taps != config.taps or config.method == "refnpr" else taps
+    wanted = ",".join(layers_of(taps)) if taps != config.taps or config.method == "refnpr" else taps
     assert found == (loss, wanted, match)
 
 
@@ -106,10 +106,10 @@ def test_blocks_are_those_that_ref_npr_counts_from_zero():
     """By torchvision's places of ReLUs: 11, 13, 15 are its block 2; 18, 20, 22 its block 3; 25, 27, 29 its block 4."""
     places = dict(zip(LAYERS, (1, 3, 6, 8, 11, 13, 15, 18, 20, 22, 25, 27, 29), strict=True))
     config = StylizeConfig(style="x", method="refnpr")
-    assert [places[layer] for layer in taps_of(template_taps(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
-    assert [places[layer] for layer in taps_of(coarse_taps(WEIGHTS))] == [25, 27, 29]
+    assert [places[layer] for layer in layers_of(template_taps(config, WEIGHTS))] == [11, 13, 15, 18, 20, 22]
+    assert [places[layer] for layer in layers_of(coarse_taps(WEIGHTS))] == [25, 27, 29]
     gram = painting_taps(StylizeConfig(style="x", method="snerf"), WEIGHTS)
-    assert [places[layer] for layer in taps_of(gram)] == [6, 8, 11, 13, 15, 18, 20, 22]
+    assert [places[layer] for layer in layers_of(gram)] == [6, 8, 11, 13, 15, 18, 20, 22]
 
 
 def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():

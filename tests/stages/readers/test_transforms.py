@@ -544,7 +544,7 @@ def _(source, tmp_path):
             for axis, value in enumerate(center + next(noise)):
                 frame["transform_matrix"][axis][3] = float(value)
         capture.write_transforms(source, content)
-        with pytest.raises(BadInput, match="all cameras stand at one point"):
+        with pytest.raises(BadInput, match="all cameras are at one point"):
             imported(source, tmp_path / "work")
     moved = listed()
     for frame in moved["frames"]:  # meters of a map, far from its origin

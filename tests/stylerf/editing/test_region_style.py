@@ -48,7 +48,7 @@ def test_features_count_by_how_much_of_the_region_they_show():
     assert (canvas.height, canvas.width) == (46, 46) and canvas.coverage[0].shape == (48, 48)
     assert float(canvas.coverage[0].sum()) == pytest.approx(len(view) * (48 / 46) ** 2, rel=1e-3)
     flat = torch.full((len(view), 3), 0.6)
-    features = style.trunk(style.picture(flat, canvas)[None])[0][0]
+    features = style.extractor(style.picture(flat, canvas)[None])[0][0]
     gram, total = torch.zeros(6, 6), 0.0
     for row in range(48):
         for column in range(48):
@@ -78,7 +78,7 @@ def test_crops_and_recolored_paintings():
     painting = picture(20, 30, 5)
     assert torch.equal(crop_of(painting, 10, 5, 15), painting[:, 5:20, 10:25])
     for wrong in ((16, 0, 15), (0, 6, 15), (-1, 0, 5), (0, 0, 21)):
-        with pytest.raises(InvalidValue, match="does not fit into a painting of 30x20"):
+        with pytest.raises(InvalidValue, match="does not fit into a style image of 30x20"):
             crop_of(painting, *wrong)
     generator = np.random.default_rng(0)
     region = (0.5 + 0.08 * generator.normal(size=(4000, 3)) @ np.array([[1, 0.5, 0], [0, 1, 0], [0, 0.2, 0.5]])).astype(

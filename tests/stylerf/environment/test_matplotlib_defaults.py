@@ -8,7 +8,7 @@ from tests.conftest import REPOSITORY
 
 CODE = """
 import os
-from stylerf.plotting import matplotlib
+from stylerf.environment.matplotlib_defaults import matplotlib
 usual = {key: value for key, value in matplotlib.rcParamsDefault.items() if key != "backend"}
 print([key for key, value in usual.items() if matplotlib.rcParams[key] != value], os.getcwd())
 """
@@ -30,7 +30,7 @@ def test_neither_local_nor_user_matplotlibrc_changes_a_chart(tmp_path):
 def test_all_of_matplotlib_is_imported_there():
     for folder in ("schemas", "stages", "stylerf", "stylerf_cli", "benchmarks"):
         for path in (REPOSITORY / folder).rglob("*.py"):
-            if path.name != "plotting.py":
+            if path.name != "matplotlib_defaults.py":
                 lines = [line.strip() for line in path.read_text().splitlines()]
                 assert not any(line.startswith(("import matplotlib", "from matplotlib")) for line in lines), path
 
@@ -39,7 +39,7 @@ def test_the_current_folder_is_restored_even_if_it_was_deleted(tmp_path):
     (tmp_path / "gone").mkdir()
     code = """
 import os, pathlib
-from stylerf.current_folder import current_folder
+from stylerf.environment.current_folder import current_folder
 os.rmdir(os.getcwd())
 before = os.stat(".").st_ino
 with current_folder(pathlib.Path("/")):

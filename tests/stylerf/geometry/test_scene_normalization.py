@@ -45,7 +45,7 @@ def test_layouts_are_told_from_the_cameras():
 
 def test_centering_puts_the_focus_at_the_origin_at_unit_distance():
     for poses in (poses_of(ring()), turned(poses_of(ring()))):
-        matrix = scene_normalization.centerd(poses)
+        matrix = scene_normalization.centered(poses)
         moved = np.array([scene_normalization.moved(pose, matrix) for pose in poses])
         np.testing.assert_allclose(np.linalg.norm(moved[:, :3, 3], axis=1), 1, atol=1e-6)
         np.testing.assert_allclose(moved[:, :3, 3].std(0)[2], 0, atol=1e-6)  # all at one height: the axis is z
@@ -87,7 +87,7 @@ def test_cameras_at_one_point_are_refused(center, kept_in):
         pose[:3, 3] = turn @ (turn.T @ kept_in(center))
     for refusal in (
         scene_normalization.focus_of,
-        scene_normalization.centerd,
+        scene_normalization.centered,
         lambda all: scene_normalization.nearest_depth(all, None, None),
     ):
         with pytest.raises(InvalidValue, match="one point"):
@@ -98,12 +98,12 @@ def test_cameras_at_one_point_are_refused(center, kept_in):
 @pytest.mark.parametrize("capture", [ring, forward])
 def test_coincident_cameras_are_found_in_any_unit_and_origin(capture, scale):
     poses = poses_of(capture())
-    wanted = np.cbrt(np.linalg.det(scene_normalization.centerd(poses)[:3, :3]))
+    wanted = np.cbrt(np.linalg.det(scene_normalization.centered(poses)[:3, :3]))
     small, far = poses.copy(), poses.copy()
     small[:, :3, 3] *= scale
     far[:, :3, 3] += [5e5, 4e6, 120]  # meters of a map
-    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centerd(small)[:3, :3])) * scale, wanted)
-    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centerd(far)[:3, :3])), wanted, rtol=1e-4)
+    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centered(small)[:3, :3])) * scale, wanted)
+    assert np.isclose(np.cbrt(np.linalg.det(scene_normalization.centered(far)[:3, :3])), wanted, rtol=1e-4)
 
 
 def test_a_baseline_too_small_for_the_depths_is_refused():
@@ -113,7 +113,7 @@ def test_a_baseline_too_small_for_the_depths_is_refused():
     scene_normalization.check_baseline(poses, told, points)
     poses[:, :3, 3] = 1e-6 * (poses[:, :3, 3] - poses[:, :3, 3].mean(0))
     for known in ((told, None), (None, points)):
-        with pytest.raises(InvalidValue, match=r"one point: within .* where the nearest depth is"):
+        with pytest.raises(InvalidValue, match=r"one point: within .* while the nearest depth is"):
             scene_normalization.check_baseline(poses, *known)
     scene_normalization.check_baseline(poses, None, None)  # nothing tells the depths
 

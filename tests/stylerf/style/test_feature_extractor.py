@@ -6,7 +6,7 @@ import torch
 from scipy.signal import correlate
 
 from stylerf.errors import InvalidValue
-from stylerf.style.feature_extractor import LAYERS, FeatureExtractor, blur_pool, features, taps_of
+from stylerf.style.feature_extractor import LAYERS, FeatureExtractor, blur_pool, features, layers_of
 
 CHANNELS = {"conv1_1": 4, "conv1_2": 5, "conv2_1": 6, "conv2_2": 6, "conv3_1": 7, "conv3_2": 5, "conv3_3": 8}
 
@@ -74,7 +74,7 @@ def test_every_layer_equals_a_naive_computation(architecture):
 
 def test_only_the_layers_up_to_the_deepest_tap_are_built():
     trunk = FeatureExtractor(small_state(), "conv2_1")
-    assert trunk.layers == ("conv1_1", "conv1_2", "conv2_1") and trunk.channels == (6,) and trunk.stride == 2
+    assert trunk.built == ("conv1_1", "conv1_2", "conv2_1") and trunk.channels == (6,) and trunk.stride == 2
     assert not any(name.startswith("conv2_2") for name, _ in trunk.named_buffers())
 
 
@@ -86,19 +86,19 @@ def test_gradient_of_the_image_is_exact_and_weights_have_none():
 
 
 def test_taps_are_named_in_several_ways():
-    assert taps_of("conv3") == ("conv3_1", "conv3_2", "conv3_3")
-    assert taps_of("conv3_1, conv1_2") == ("conv1_2", "conv3_1")
-    assert taps_of(["conv4_1", "conv4_1"]) == ("conv4_1",)
-    assert taps_of(LAYERS) == LAYERS
+    assert layers_of("conv3") == ("conv3_1", "conv3_2", "conv3_3")
+    assert layers_of("conv3_1, conv1_2") == ("conv1_2", "conv3_1")
+    assert layers_of(["conv4_1", "conv4_1"]) == ("conv4_1",)
+    assert layers_of(LAYERS) == LAYERS
     for wrong in ("conv6", "conv1_3", "", "3_1"):
         with pytest.raises(InvalidValue):
-            taps_of(wrong)
+            layers_of(wrong)
 
 
 def test_bad_arguments_are_refused():
     with pytest.raises(InvalidValue, match="end before conv4_1"):
         FeatureExtractor(small_state(), "conv4_1")
-    with pytest.raises(InvalidValue, match="a trunk among"):
+    with pytest.raises(InvalidValue, match="a feature extractor among"):
         FeatureExtractor(small_state(), "conv1_1", "resnet")
     trunk = FeatureExtractor(small_state(), "conv3_1")
     for shape in ((3, 16, 16), (1, 4, 16, 16), (1, 3, 7, 16)):

@@ -5,7 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from stylerf.style.reference_features import STRANGE, ReferenceFeatures, ReferenceObjective
+from stylerf.style.reference_features import UNRELATED, ReferenceFeatures, ReferenceObjective
 from stylerf.style.style_objective import StyleWeights
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
@@ -33,10 +33,10 @@ def rows(trunk, image: torch.Tensor) -> list[np.ndarray]:
 
 def test_style_is_the_look_that_the_reference_has_where_its_content_is():
     made, render, photo = objective(), picture(HEIGHT, WIDTH, 1), picture(HEIGHT, WIDTH, 2)
-    keys = [np.concatenate(p) for p in zip(*(rows(made.trunk, t.photo) for t in templates()))]
-    looks = [np.concatenate(p) for p in zip(*(rows(made.trunk, t.stylized) for t in templates()))]
+    keys = [np.concatenate(p) for p in zip(*(rows(made.extractor, t.photo) for t in templates()))]
+    looks = [np.concatenate(p) for p in zip(*(rows(made.extractor, t.stylized) for t in templates()))]
     expected = 0.0
-    for asked, seen, key, look in zip(rows(made.trunk, photo), rows(made.trunk, render), keys, looks):
+    for asked, seen, key, look in zip(rows(made.extractor, photo), rows(made.extractor, render), keys, looks):
         total = 0.0
         for i in range(len(asked)):
             j = int(np.argmax(key @ asked[i]))
@@ -54,7 +54,7 @@ def test_the_reference_itself_is_asked_to_be_its_stylized_picture():
     wanted = made.wanted(one[0].photo)
     _, parts = made(one[0].stylized, wanted)
     astray = []
-    pictures = (rows(made.trunk, picture_) for picture_ in (one[0].photo, one[0].stylized))
+    pictures = (rows(made.extractor, picture_) for picture_ in (one[0].photo, one[0].stylized))
     for keys, looks, matches in zip(*pictures, wanted.matches.values(), strict=True):
         likeness = keys @ keys.T
         np.fill_diagonal(likeness, -1)
@@ -92,7 +92,7 @@ def test_coarse_colors_are_those_of_the_likest_cell_unless_it_is_strange():
     assert made(image, half)[1]["color"] == pytest.approx(float(gaps[1].sum() / 4), rel=1e-5)
     made.coarse_keys = -made.coarse_keys  # features are not negative: nothing is like anything now
     strange = made.wanted(photo)
-    assert not strange.trusted.any() and made(photo, strange)[1]["color"] == 0 and STRANGE < 1
+    assert not strange.trusted.any() and made(photo, strange)[1]["color"] == 0 and UNRELATED < 1
 
 
 def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
@@ -125,10 +125,10 @@ def test_many_rows_are_sampled_alike_in_every_picture_of_a_reference(monkeypatch
 
 def test_the_gradient_is_that_of_finite_differences():
     made = objective()
-    for trunk in (made.trunk, made.coarse):
+    for trunk in (made.extractor, made.coarse):
         trunk.double()
     given = [ReferenceFeatures(t.photo.double(), t.stylized.double()) for t in templates()]
-    made = ReferenceObjective(made.trunk, made.coarse, given, WEIGHTS, 1.0, basis=0)
+    made = ReferenceObjective(made.extractor, made.coarse, given, WEIGHTS, 1.0, basis=0)
     wanted, image = made.wanted(picture(HEIGHT, WIDTH, 2).double()), picture(HEIGHT, WIDTH, 1).double()
     way = picture(HEIGHT, WIDTH, 7).double() - 0.5
     leaf = image.clone().requires_grad_()

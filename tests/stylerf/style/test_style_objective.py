@@ -28,9 +28,9 @@ def blocks_of(trunk, image) -> list[np.ndarray]:
 def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, float, float]:
     """(style, content, variation): loops over positions and over all features of the painting."""
     small = [resized(i, HEIGHT // 2, WIDTH // 2) for i in (image, photo)]
-    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1).to(image), HEIGHT, WIDTH, 0.5))
+    painted = blocks_of(made.extractor, style_picture(picture(30, 40, 1).to(image), HEIGHT, WIDTH, 0.5))
     style_loss, content_loss = 0.0, 0.0
-    for found, wanted, style in zip(*(blocks_of(made.trunk, i) for i in small), painted):
+    for found, wanted, style in zip(*(blocks_of(made.extractor, i) for i in small), painted):
         h, w = found.shape[1:]
         rows, a, b = style.reshape(len(style), -1), HEIGHT // h, WIDTH // w
         style_sum, content_sum, total = 0.0, 0.0, 0.0
@@ -110,8 +110,8 @@ def test_the_diagonal_variation_is_the_mean_of_its_pixels():
 def test_gram_distance_is_relative_to_the_style_images_gram_matrix(masked):
     image, alpha = picture(HEIGHT, WIDTH, 2), object_alpha() if masked else None
     made = GramObjective(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), WEIGHTS)
-    painted = blocks_of(made.trunk, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
-    found, expected = blocks_of(made.trunk, resized(image, HEIGHT // 2, WIDTH // 2)), 0.0
+    painted = blocks_of(made.extractor, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
+    found, expected = blocks_of(made.extractor, resized(image, HEIGHT // 2, WIDTH // 2)), 0.0
     for seen, style in zip(found, painted):
         h, w = seen.shape[1:]
         a, b = HEIGHT // h, WIDTH // w
@@ -182,7 +182,7 @@ def test_fewer_rows_and_a_basis_choose_worse_or_equal_neighbors():
 def test_the_style_image_is_at_distance_zero_unless_features_are_zero():
     painting = picture(30, 40, 1)
     made = StyleObjective(small_trunk(), painting, (30, 40), StyleWeights(1, 0, 0, 0), scale=1.0, basis=0)
-    silent = sum((f == 0).all(0).mean() for f in blocks_of(made.trunk, painting))
+    silent = sum((f == 0).all(0).mean() for f in blocks_of(made.extractor, painting))
     assert made(painting, None)[1]["style"] == pytest.approx(silent, abs=1e-5) and silent < 0.01
 
 
