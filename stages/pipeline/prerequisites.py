@@ -34,7 +34,7 @@ def input_of(work: WorkFolder, artifact: Artifact, kind: str, role: str = "") ->
             if found.digest != ref.digest:
                 raise ArtifactStale(
                     f"{kind} {ref.name} was rebuilt after {artifact.kind} {artifact.name}; rebuild that too: "
-                    f"{artifact.rebuild_command()()}"
+                    f"{artifact.rebuild_command()}"
                 )
             return found
     raise ArtifactStale(f"{artifact.kind} {artifact.name} names no {kind} as its input; rebuild it")
@@ -69,7 +69,7 @@ def scene_of(work: WorkFolder, field: Artifact) -> Artifact:
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
                 return original_scene(work.get("scene", ref.name))
-    raise ArtifactStale(f"field {field.name} names no scene as its input; rebuild it: {field.rebuild_command()()}")
+    raise ArtifactStale(f"field {field.name} names no scene as its input; rebuild it: {field.rebuild_command()}")
 
 
 def field_named(runner: StageRunner, name: str) -> Artifact:

@@ -10,8 +10,8 @@ from pathlib import Path
 def current_folder(folder: Path) -> Iterator[None]:
     """Make `folder` the current one inside the block. Affects all threads, so use it for imports only.
 
-    The old one is held open, not named: it may have been renamed or deleted. Windows, which can only name it, lets
-    nobody do that to a current folder.
+    The previous folder is held open rather than remembered by name, since it may be renamed or deleted.
+    Windows can only go back by name, but lets nobody rename or delete a current folder.
     """
     if not hasattr(os, "fchdir"):
         with chdir(folder):

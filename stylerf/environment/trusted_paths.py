@@ -6,16 +6,16 @@ from pathlib import Path
 
 
 def user_id() -> int:
-    """Number of the user; on Windows, which gives none, zero, as its files have it."""
+    """Return the user's number; zero on Windows, which has none."""
     return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
 def not_ours(path: Path) -> str | None:
     """Say why an existing path may have been written by somebody else, as words that follow its name; None if not.
 
-    All of it must belong to this user, hold no link, and be writable, or out of reach, for everybody else. The folders
-    that lead to it must be this user's or the system's, and writable by nobody else unless they are sticky. On
-    Windows, where a file's mode says nothing of users and rights, only links are found.
+    Everything in it must belong to this user, be no link, and be closed to other users' writes. The folders that lead
+    to it must belong to this user or to root, and be closed to others' writes unless they are sticky. On
+    Windows, whose file modes show neither users nor rights, only links are checked.
     """
     found = path.lstat()
     if why := _foreign(found) or _open(found):
@@ -46,7 +46,7 @@ def _foreign(found: os.stat_result) -> str | None:
 def _open(found: os.stat_result) -> str | None:
     if not hasattr(os, "getegid"):
         return None
-    # Many systems give each user a group of the same number, which may write to all that the user makes.
+    # Many systems give each user a private group with the user's number, which may write to all of the user's files.
     own_group = found.st_gid == os.getegid() == user_id()
     others = stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP
     return "can be written by others" if found.st_mode & others else None

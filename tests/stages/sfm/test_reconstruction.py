@@ -73,7 +73,7 @@ def test_the_poses_of_the_room(room, tmp_path):
     assert [view.name for view in scene.views] == [camera.name for camera in CAMERAS]
     assert [(one.source, one.reason) for one in scene.skipped] == [
         ("p90.png", "it is the same file as p01.png"), ("p91.png", "it is black"),
-        ("p92.HEIC", "of a format that cannot be read; convert it to JPEG or PNG"),
+        ("p92.HEIC", "unsupported format; convert it to JPEG or PNG"),
     ]  # fmt: skip
     assert psnr(load_scene(artifact).images(2), taken / 255) > 25  # a little undistorted
     found = np.array([view.world_from_camera for view in scene.views])
@@ -81,7 +81,7 @@ def test_the_poses_of_the_room(room, tmp_path):
     assert angles.max() < 0.5 and distances.max() < 0.01
     assert abs(scene.views[0].fx / 230 - 1) < 0.02
     assert scene.sfm["registered"] == 8 and scene.sfm["error_px"] < 0.5 and scene.sfm["agreement"] == 1
-    assert "1 photos beside 10 cannot be read (.HEIC)" in said.lines[0]
+    assert "1 more photos cannot be read (.HEIC)" in said.lines[0]
     assert any("structure from motion: 8 of 8 photos placed" in line for line in said.lines)
     # Points lie on the faces of the room: one coordinate is 0 in the room's own frame.
     points = load_scene(artifact).points.xyz
