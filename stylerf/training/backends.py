@@ -25,7 +25,7 @@ Device = str | torch.device | None
 
 
 def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable:
-    """Return the constructor of the engine of a fit; see Fitter. samples: density samples per step that the fit aims at."""
+    """Return the constructor of the engine of a fit; see Fitter. samples: intended density samples per step."""
     if device is None:
         from stylerf.training.fit.engine import CpuEngine
 
