@@ -1,29 +1,31 @@
 """The one place that picks the CPU's or a GPU's half of each training.
 
 `device` is a torch device for the GPU kernels; None picks the CPU's. The trainers take what is picked here as an
-argument, the CPU's by default. A GPU's half is imported when it is picked, since it needs Triton.
+argument, the CPU's by default. Halves are imported when they are picked: a GPU's needs Triton.
 """
+
+from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Union
+from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 
-from stylerf.editing.palette_module import PaletteModule
-from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.cameras import Camera
-from stylerf.training.stylize.scene import CPU, StyleBackend
-
 if TYPE_CHECKING:
+    import numpy as np
+
+    from stylerf.editing.palette_module import PaletteModule
     from stylerf.editing.palette_module_gpu import GpuPaletteModule
+    from stylerf.fields.radiance_field import RadianceField
+    from stylerf.geometry.cameras import Camera
+    from stylerf.training.stylize.scene import StyleBackend
 
 Device = str | torch.device | None
 
 
 def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable:
-    """Makes the engine of a fit; see Fitter. samples: density samples per step that the fit aims at."""
+    """Return the constructor of the engine of a fit; see Fitter. samples: intended density samples per step."""
     if device is None:
         from stylerf.training.fit.engine import CpuEngine
 
@@ -34,7 +36,7 @@ def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Call
 
 
 def edit_engine(device: Device) -> Callable:
-    """Makes the engine of a local edit; see EditTrainer."""
+    """Return the constructor of the engine of a local edit; see EditTrainer."""
     if device is None:
         from stylerf.training.edit.engine import CpuEditEngine
 
@@ -44,7 +46,7 @@ def edit_engine(device: Device) -> Callable:
     return functools.partial(GpuEditEngine, device=device)
 
 
-def palette_module(device: Device, module: PaletteModule) -> Union[PaletteModule, "GpuPaletteModule"]:
+def palette_module(device: Device, module: PaletteModule) -> PaletteModule | GpuPaletteModule:
     """A trained palette module, to be evaluated on the device."""
     if device is None:
         return module
@@ -54,7 +56,7 @@ def palette_module(device: Device, module: PaletteModule) -> Union[PaletteModule
 
 
 def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None:
-    """Finds the ends of a view's rays on a GPU; None: by seen_of_view's own kernels."""
+    """Return what finds the ends of rays on a GPU; None: seen_of_view uses its own kernels."""
     if device is None:
         return None
     from stylerf.editing.extraction_gpu import GpuRayEnds
@@ -63,7 +65,7 @@ def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.
 
 
 def finetune_engine(device: Device) -> Callable:
-    """Makes the engine of a fine-tuning; see FineTuner."""
+    """Return the constructor of the engine of a fine-tuning; see FineTuner."""
     if device is None:
         from stylerf.training.finetune.engine import CpuFineTuneEngine
 
@@ -74,7 +76,7 @@ def finetune_engine(device: Device) -> Callable:
 
 
 def deform_backend(device: Device) -> tuple[Callable, Callable]:
-    """Makes the deformer and the photo error of a deformation; see DeformationFitter."""
+    """Return the constructors of deformer and photo error; see DeformationFitter."""
     if device is None:
         from stylerf.training.deform.deformer import Deformer
         from stylerf.training.deform.photo_error import PhotoError
@@ -86,7 +88,9 @@ def deform_backend(device: Device) -> tuple[Callable, Callable]:
 
 
 def style_backend(device: Device) -> StyleBackend:
-    """Makes the deformer and the geometries of a stylization; see StyledScene."""
+    """Return the constructors of deformer and geometries of a stylization; see StyledScene."""
+    from stylerf.training.stylize.scene import CPU, StyleBackend
+
     if device is None:
         return CPU
     from stylerf.training.deform.deformer_gpu import GpuDeformer
