@@ -67,12 +67,12 @@ def test_position_gradient_equals_the_oracle(made):
         assert (np.delete(out, at, 0) == 0.25).all()
 
 
-def test_a_walk_meets_the_density_at_its_samples(made):
+def test_a_march_meets_the_density_at_its_samples(made):
     made.values[-1] = -4.5
     rays = rays_into(SPACES["contraction"], 40, 4)
     one, two = (Packed.of(march(made, SPACES["contraction"], rays, opaque_background=True, threads=c)) for c in (1, 2))
     assert np.array_equal(one.sigma, two.sigma) and np.array_equal(one.weights, two.weights)
-    inside = ~one.backdrop
+    inside = ~one.background
     expected = oracle_density(made, float64(made.values), one.x)
     close(one.sigma[inside], expected[inside], 3e-6)
     assert 200 < int(inside.sum()) and not one.sigma[~inside].any()

@@ -197,7 +197,7 @@ def test_one_sample_rays():
 
 
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
-def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind):
+def test_captures_end_in_an_opaque_background(kind):
     space, rays = SPACES[kind], rays_into(SPACES[kind], 30, 9)
     empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))
@@ -212,7 +212,7 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind):
         if count:
             assert len(packed.rays) == 30 and bool((packed.weights == 1).all())
     opaque = Packed.of(march(even_fog(1e3), space, rays, opaque_background=True))
-    assert not opaque.backdrop.any() and len(opaque.rays) == 30  # stopped at once: nothing left to take
+    assert not opaque.background.any() and len(opaque.rays) == 30  # stopped at once: nothing left to take
 
 
 def test_an_empty_grid_gives_no_sample_in_an_open_box():
@@ -223,13 +223,13 @@ def test_an_empty_grid_gives_no_sample_in_an_open_box():
 
 
 @pytest.mark.parametrize("kind", SPACES)
-def test_chunks_do_not_change_a_bit_of_a_ray(kind):
+def test_threads_do_not_change_a_bit_of_a_ray(kind):
     space, made, rays = SPACES[kind], density(3), rays_into(SPACES[kind], 31, 10)
     moved = displacement_grid(5)
     one, three = (march(made, space, rays, moved=moved, opaque_background=kind != "box", threads=c) for c in (1, 3))
     assert not np.array_equal(one.starts, three.starts)
     a, b = Packed.of(one), Packed.of(three)
-    for name in ("rays", "t", "optical", "x", "sigma", "weights"):
+    for name in ("rays", "t", "deltas", "x", "sigma", "weights"):
         assert torch.equal(getattr(a, name), getattr(b, name)), name
 
 
