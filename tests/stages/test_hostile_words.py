@@ -14,7 +14,7 @@ from stages.comparison.runs import Run, RunMetric
 from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
 from stages.report.formatting import escape
-from stages.stress.outcomes import FOLDER, keep_outcome, kept_outcome
+from stages.stress.outcomes import FOLDER, save_outcome, load_outcome
 from stages.stress.page import build_page
 from stages.stress.success_rates import Outcome, cells_of
 
@@ -80,8 +80,8 @@ def test_plain_cells_are_left_alone(tmp_path):
 
 def test_an_outcome_comes_back(tmp_path):
     for kept in (outcome(), outcome(score=None, picture="a.png", figures={"x": float("inf")})):
-        keep_outcome(tmp_path, kept)
-        found = kept_outcome(tmp_path, kept.name, kept.key)
+        save_outcome(tmp_path, kept)
+        found = load_outcome(tmp_path, kept.name, kept.key)
         assert (found.name, found.score, found.picture) == (kept.name, kept.score, kept.picture)
 
 
@@ -96,12 +96,12 @@ def test_an_outcome_comes_back(tmp_path):
 )  # fmt: skip
 def test_an_outcome_of_a_stranger_is_not_believed(tmp_path, changed):
     kept = outcome()
-    keep_outcome(tmp_path, kept)
+    save_outcome(tmp_path, kept)
     path = tmp_path / FOLDER / f"{kept.name}.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | changed))
-    assert kept_outcome(tmp_path, kept.name, kept.key) is None
+    assert load_outcome(tmp_path, kept.name, kept.key) is None
     path.write_text("[" * 100_000)
-    assert kept_outcome(tmp_path, kept.name, kept.key) is None
+    assert load_outcome(tmp_path, kept.name, kept.key) is None
 
 
 def test_only_a_png_of_the_folder_itself_is_embedded(tmp_path):

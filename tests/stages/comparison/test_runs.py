@@ -287,7 +287,7 @@ def test_charts_page_and_table_agree(work):
     assert "on the front: room/fit-10s, room/fit-300s" in first.description
     assert comparison_charts(some)[0].svg == first.svg
     edits = next(chart.description for chart in charts if chart.name == "edits_seconds")
-    assert "within the region (correct)" in edits and "Consistency short (correct)" not in edits  # of whole frames
+    assert "within the region (correct)" in edits and "Short-range consistency (correct)" not in edits
     page = build_page(some, charts, gaps, fronts)
     assert page.count("<svg") == 9 and "<script" not in page and "http" not in page.replace("http://www.w3.org", "")
     assert "Nothing: the cost and metrics of every run are known" in page and "room/starry-desrf" in page
