@@ -1,4 +1,4 @@
-"""Picks where a deformation learns: on the CPU or on a GPU."""
+"""Chooses the CPU or the GPU implementation of a deformer."""
 
 import torch
 
@@ -6,7 +6,7 @@ from stylerf.training.deform.deformer import Deformer
 
 
 def deformer_on(device: str | torch.device | None, *given) -> Deformer:
-    """A Deformer of what it is given, that works on `device`; None: by the CPU's kernels."""
+    """Return a Deformer on `device`, or on the CPU for None."""
     if device is None:
         return Deformer(*given)
     from stylerf.training.deform.deformer_gpu import GpuDeformer
