@@ -16,9 +16,9 @@ LEARNED = 1e6  # trained values: products over a network's layers stay finite; n
 _AT_ONCE = 1 << 20  # floats checked together, so that they stay in the processor's cache
 
 
-def table(value: Any, what: str) -> Mapping[str, Any]:
+def table(value: Any, what: str) -> dict[str, Any]:
     """Return `value` if it is a JSON object."""
-    if not isinstance(value, Mapping):
+    if not isinstance(value, dict):
         raise InvalidValue(f"{what} is {_shown(value)}, expected an object")
     return value
 

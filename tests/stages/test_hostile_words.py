@@ -14,7 +14,7 @@ from stages.comparison.runs import Run, RunMetric
 from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
 from stages.report.formatting import escape
-from stages.stress.outcomes import FOLDER, save_outcome, load_outcome
+from stages.stress.outcomes import FOLDER, load_outcome, save_outcome
 from stages.stress.page import build_page
 from stages.stress.success_rates import Outcome, cells_of
 
