@@ -115,7 +115,7 @@ def test_json_in_process(tmp_path, capsys):
         (["toy", "w", "--steps", "many"], "whole number"),
         (["toy", "w", "--color", "green"], "green"),
         (["toy", "w", "--steps", "-1"], "steps must not be negative"),
-        (["toy", "w", "--name", "../x"], "cannot name an artifact"),
+        (["toy", "w", "--name", "../x"], "is not a valid name"),
         (["toy", "w", "--threads", "0"], "at least 1"),
         (["toy", "w", "--seed", "-1"], "--seed is -1; expected 0 to 4294967295"),
         (["toy", "w", "--seed", "4294967296"], "--seed is 4294967296"),

@@ -37,7 +37,7 @@ def both(scene, tmp_path, monkeypatch):
     """The bank in memory and the one on disk, and what the second said."""
     here = bank_of(scene, [2, 0, 1], tmp_path, Context())
     said = Said()
-    monkeypatch.setattr(photos, "room", lambda bound: 0)
+    monkeypatch.setattr(photos, "available_bytes", lambda bound: 0)
     monkeypatch.setattr(photos, "LEAST_BYTES", 0)
     return here, bank_of(scene, [2, 0, 1], tmp_path, Context(progress=said)), said.lines
 

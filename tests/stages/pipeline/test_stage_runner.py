@@ -45,7 +45,7 @@ def test_prerequisites_are_announced_made_once_and_never_renamed(tmp_path):
 
 
 def test_a_name_that_no_artifact_can_have_is_refused_at_once():
-    with pytest.raises(UsageError, match="cannot name an artifact"):
+    with pytest.raises(UsageError, match="is not a valid name"):
         Request("../fox")
 
 

@@ -7,8 +7,8 @@ import torch
 from stylerf.fields.gpu import memory
 from stylerf.fields.gpu.memory import FEWEST, free_on, in_parts
 from stylerf.style.style_objective import EVERYTHING
-from stylerf.training.stylize import trainer
-from tests.stylerf.training.stylize.test_arf import stylizer
+from stylerf.training.stylize import view_loss
+from tests.stylerf.training.stylizing import arf
 
 
 def test_parts_that_do_not_fit_are_halved_and_none_is_left_out_or_done_twice():
@@ -44,8 +44,7 @@ def test_a_gpu_says_what_is_free_on_it(monkeypatch):
 
 
 def test_features_of_a_stylization_are_bounded_by_what_is_free_where_they_lie(monkeypatch):
-    monkeypatch.setattr(trainer, "free_on", lambda device, otherwise: 100.0)
-    made = stylizer(memory=1e9)
-    assert made.memory_there == 50 and made.photos._left > 1e7
-    kept = made._kept_content()
-    assert kept._left == pytest.approx(0.35 * 50) and made.windows[0] != EVERYTHING
+    monkeypatch.setattr(view_loss, "free_on", lambda device, otherwise: 100.0)
+    made = arf({"memory": 1e9}).method.loss
+    assert made.memory == 50 and made.windows[0] != EVERYTHING
+    assert made._content._left == pytest.approx(view_loss.CONTENT * 50)
