@@ -150,4 +150,4 @@ class PathConsistency:
             found = laenerf_script(first.image, second.image, forward, backward, image)
         else:
             found = stylerf_family(first.image, second.image, forward, pixels)
-        return found.rmse, found.share, found.perceptual
+        return found.error, found.share, found.perceptual

@@ -135,5 +135,5 @@ def test_what_cannot_be_spoiled_is_refused(source, tmp_path):
     with pytest.raises(BadInput, match="--test-every"):
         spoiled(untested, tmp_path, "seeds")
     config = CorruptSceneConfig(source=str(source.path), source_digest="another")
-    with pytest.raises(ArtifactStale, match="made again"):
+    with pytest.raises(ArtifactStale, match="was rebuilt meanwhile"):
         corrupt_scene._source(config)

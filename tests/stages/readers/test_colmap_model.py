@@ -355,7 +355,7 @@ REFUSED = {
     **{
         f"lens-{model}": (
             lens(model, count),
-            f"000.png: its camera model {model} is not known; undistort the pictures first",
+            f"000.png: its camera model {model} is not known; undistort the images first",
         )
         for model, count in (
             ("FOV", 5),

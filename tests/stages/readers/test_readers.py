@@ -228,8 +228,8 @@ def test_pictures_of_masks_mean_the_same_wherever_they_are_read(posed, tmp_path,
     write_png(mask, np.dstack([color] * 3 + [alpha]))
     scene = load_scene(imported(posed, tmp_path / "work"))
     np.testing.assert_array_equal(to_uint8(scene.images(2))[..., 3], kept)
-    looking = region_select.Looking(scene, None, 0.0, 0, 1, print)
-    np.testing.assert_array_equal(to_uint8(looking.mask(f"p02={mask}")[1]), kept)
+    sight = region_select.Sight(scene, None, 0.0, 0, 1, print)
+    np.testing.assert_array_equal(to_uint8(sight.mask(f"p02={mask}")[1]), kept)
     np.testing.assert_array_equal(resized_mask(read_image(mask).pixels, kept.shape, mask), kept > 0)
 
 

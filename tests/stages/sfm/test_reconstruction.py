@@ -207,7 +207,7 @@ def test_an_interrupted_import_goes_on(finished, room, tmp_path):
     (tmp_path / "here").rename(tmp_path / "there")
     said = Said()
     scene = scene_of(imported(tmp_path / "there", tmp_path / "w", said))
-    assert any("going on" in line for line in said.lines)
+    assert any("resuming" in line for line in said.lines)
     result = json.loads((finished / "result.json").read_text())["figures"]
     assert scene.sfm == result
 

@@ -44,7 +44,7 @@ def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
 
     def all_of_them() -> list[np.ndarray]:
         view = GpuRenderer(field, device, "float32").view(camera, regions={"one": cells})
-        surface = GpuFixedGeometry(field, [camera], 0.2, device).surface(0)
+        surface = GpuFixedGeometry(field, [camera], 0.2, 1, 0.0, device=device).surface(0)
         (ends,) = GpuRayEnds(field, device)(camera, [cells])
         return [view.rgb, view.masks["one"], view.ray_distance, surface.offsets, surface.weights, ends]
 

@@ -30,7 +30,7 @@ def test_a_stylization_that_keeps_nothing_ends_with_the_same_bits(deform):
     for memory in (1e9, 0):
         made = stylizer(deform=deform, memory=memory, coarse=0.5, match="both")
         made.run()
-        assert (made.photos[0] is made.photos[0]) == (memory > 0)
+        assert (made.method.scene.photos[0] is made.method.scene.photos[0]) == (memory > 0)
         results.append(result_of(made))
     assert results[0][0] == results[1][0] and results[0][0]["curve"]
     assert_same_bits(results[0][1], results[1][1])
