@@ -156,7 +156,7 @@ def test_a_trial_lasts_a_share_of_the_budget_within_bounds():
         assert search.state.trial.until_step == step + steps
 
 
-def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
+def test_the_summary_says_what_more_or_less_capacity_would_do():
     search = search_at(0, min_gain=0.1, levels=LEVELS)
     search.begin(GROW, 30.0, 200_000, 0.1)
     assert not search.judge(30.04, 340_000)[0] and search.state.growth_ended
@@ -168,7 +168,7 @@ def test_the_capacity_is_told_with_what_more_and_less_of_it_would_do():
     assert search.summary(200_000).endswith("1.7x the size; 48^3 rank 8+16 would lose 1.00 dB")
     assert search_at(1).summary(5_000_000) == "vm 128^3 rank 16+24, 5.00 M parameters"
     lean = search_at(3, levels=LEVELS)
-    assert lean.told(3_930_000) == "vm 256^3+176^3 rank 8+24, 3.93 M parameters"
+    assert lean.summary(3_930_000) == "vm 256^3+176^3 rank 8+24, 3.93 M parameters"
 
 
 def test_default_levels_leave_time_for_pruning():
