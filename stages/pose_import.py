@@ -120,7 +120,7 @@ def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], 
     if len(here) < FEWEST_PHOTOS:
         first = f" (looked for {missing[0].source})" if missing else ""
         raise BadInput(
-            f"{len(here)} of {len(source.cameras)} listed photos exist{first}; at least {FEWEST_PHOTOS} are needed: "
+            f"{len(here)} of {len(source.cameras)} listed photos found{first}; at least {FEWEST_PHOTOS} are needed: "
             "put the photos where the list has them, or name their folder with --images"
         )
 
