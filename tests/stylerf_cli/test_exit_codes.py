@@ -150,7 +150,7 @@ def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
     for name, words in (
         ("missing.jpg", "no such file"),
         ("cut.png", "cannot be read whole"),
-        ("text.png", "no readable"),
+        ("text.png", "not a readable"),
     ):
         line = told(capsys, 3, "eval", work, "--of", "fit", "--style", paintings / name, "--perceptual", "none")
         assert words in line and name in line
@@ -229,7 +229,7 @@ def test_a_film_of_frames_of_several_sizes_is_refused_before_any_is_rendered(wor
     monkeypatch.setattr(render, "render_view", None)
     (tmp_path / "cameras.json").write_text(json.dumps([SOUND, SOUND | {"width": 24}, SOUND | {"width": 20}]))
     line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json", "--video")
-    assert "--video" in line and "have 16x16 and 24x16" in line
+    assert "--video" in line and "16x16 and 24x16" in line
 
 
 def test_a_sound_camera_file_is_followed_and_followed_anew_when_it_changes(work, tmp_path, capsys):

@@ -30,13 +30,13 @@ def test_with_held_out_views_both_figures_are_told_apart(work, capsys):
     trained = [point["psnr"] for point in figures["curve"] if not point["held_out"]]
     assert figures["held_out_views"] == 2 and kept and trained
     assert (figures["held_out_psnr"], figures["training_psnr"]) == (kept[-1], trained[-1])
-    assert f"held-out views: {kept[-1]:.2f} dB (2 training views kept aside)" in words
+    assert f"held-out views: {kept[-1]:.2f} dB (2 training views held out)" in words
 
 
 def test_what_is_rendered_after_a_fit_is_told_before(work, capsys):
     options = ["fit", str(work), *(flag for flag in FIT if flag != "--no-buffers")]
     assert main(options) == 0
-    told = "rendering 12 views of 32x32 to EXR and PNG, about 0 MB; --no-buffers leaves it out"
+    told = "rendering 12 views of 32x32 to EXR and PNG, about 0 MB; --no-buffers skips this"
     assert told in capsys.readouterr().err
     assert main(options) == 0
     assert "rendering" not in capsys.readouterr().err

@@ -308,8 +308,8 @@ def test_a_batch_that_does_not_fit_is_worked_off_in_parts(monkeypatch):
     fitter.run()
     assert fitter.state.step == 12 and fitter.state.parts == 4 and max(sizes) <= 300  # 1024 rays at first
     assert [text for text in fitter.said if "memory" in text] == [
-        "out of memory: batches are now worked off in 2 parts",
-        "out of memory: batches are now worked off in 4 parts",
+        "out of memory: batches are now split into 2 parts",
+        "out of memory: batches are now split into 4 parts",
     ]
     monkeypatch.undo()
     straight = box_fitter(12)
@@ -320,7 +320,7 @@ def test_a_batch_that_does_not_fit_is_worked_off_in_parts(monkeypatch):
 
 def test_not_even_a_sixty_fourth_fits(monkeypatch):
     limit_rays(monkeypatch, 2)
-    with pytest.raises(MemoryError, match="sixty-fourth"):
+    with pytest.raises(MemoryError, match="1/64 of a batch"):
         box_fitter(12).run()
 
 
