@@ -45,7 +45,9 @@ class FitConfig:
         choices=("auto", "on", "off"),
         help="correct photos to one exposure (auto: in captures whose photos clearly differ)",
     )
-    held_out: int = option(-1, help="training views held out for decisions (-1: every tenth, at most 4; 0: none)")
+    held_out: int = option(
+        -1, metavar="N", help="training views held out for decisions (-1: every tenth, at most 4; 0: none)"
+    )
     buffers: bool = option(True, help="also render every view to EXR after the fit", incidental=True)
     head: str = option(
         "linear",
