@@ -312,7 +312,10 @@ def npy(header: str, data: bytes = b"") -> bytes:
 NO_POSES = {
     "npz": (None, "a zip archive, as .npz is"),
     "pickle": (pickle.dumps([1, 2]), "no .npy file"),
-    "huge": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"), "cut short: its header declares"),
+    "huge": (
+        npy("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"),
+        "cut short: its header declares",
+    ),
     "deep": (npy("{'descr': " + "[" * 5000 + "}"), "cannot be read"),
     "long": (npy("{" + " " * 50000 + "}"), "cannot be read"),
     "objects": (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0, 17)}"), "cannot be read"),

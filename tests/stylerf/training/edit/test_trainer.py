@@ -181,7 +181,7 @@ def test_what_cannot_be_learned_is_refused():
         EditTrainer([], module, SMALL, None, None, 0, 1)
     with pytest.raises(InvalidValue, match="needs a feature extractor"):
         EditTrainer(views, module, SMALL, picture(40, 40, 0), None, 0, 1)
-    with pytest.raises(InvalidValue, match="8 colors .*at most 9 after pruning"):
+    with pytest.raises(InvalidValue, match=r"8 colors .*at most 9 after pruning"):
         replace(SMALL, max_colors=9)
     views[0].target[:] = np.nan
     with pytest.raises(Diverged, match="palette step 0"):
