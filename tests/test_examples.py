@@ -27,7 +27,7 @@ def test_the_pipeline_example_makes_field_film_and_report(tmp_path):
         ("report", "painting-arf"),
     }
     content = read_report(work.get("report", "painting-arf"))
-    assert content["stylized"] and {"nnfm", "short_rmse"} <= {figure["key"] for figure in content["figures"]}
+    assert content["stylized"] and {"nnfm", "short_rmse"} <= {figure["key"] for figure in content["metrics"]}
     before = {one.path: one.digest for one in work.artifacts()}
     assert Path(main(*arguments)) == report  # a rerun reuses everything
     assert {one.path: one.digest for one in work.artifacts()} == before

@@ -61,7 +61,7 @@ def test_the_block_of_the_readme_is_empty_until_it_is_measured(monkeypatch, tmp_
 
 
 def test_a_fault_of_a_command_is_told_in_its_own_words(tmp_path):
-    with pytest.raises(pareto.Failed, match="is no folder"):
+    with pytest.raises(pareto.Failed, match="is not a folder"):
         pareto.stylerf("show", str(tmp_path / "absent"))
 
 
