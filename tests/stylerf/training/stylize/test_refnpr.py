@@ -194,7 +194,7 @@ def test_of_a_part_what_lies_beside_it_keeps_its_colors_to_the_bit():
     fitted = replace(one.scene.field, color=one.scene.field.color.base)
     before = [one.scene.render(view) for view in range(VIEWS)]
     one.run()
-    assert one.scene.field.color.base is fitted.color and one.scene.field.share == fitted.share
+    assert one.scene.field.color.base is fitted.color and one.scene.field.weight_threshold == fitted.weight_threshold
     for view in range(VIEWS):
         part, after = one.scene.coverage(view).ravel(), one.scene.render(view)
         assert np.array_equal(after[part == 0], before[view][part == 0])
