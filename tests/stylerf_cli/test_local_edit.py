@@ -422,7 +422,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
         (["select"], "nothing is selected"),
         (["select", "--at", "FIRST:400,1"], "48x48 pixels"),
         (["stylize", "--region", "ball", "--recolor", "--palette", "9=#000000", *QUICK], "does not exist"),
-        (["stylize", "--region", "ball"], "either recolored"),
+        (["stylize", "--region", "ball"], "takes either --recolor or --style"),
         (["stylize", "--region", "ball", "--recolor", "--of", "painting-arf"], "was selected in field fit"),
         (["stylize", "--region", "ball", "--style", "PAINTING", "--crop", "0", "0", "9000"], "does not fit"),
         (["stylize", "--region", "no-such", "--recolor"], "none found"),
