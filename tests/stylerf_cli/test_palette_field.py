@@ -69,7 +69,10 @@ def test_what_is_learned_for_a_change_stands_beside_it(work, capsys):
     assert WorkFolder(work).get("field", "fit-palettenerf").manifest.created == learned.manifest.created
 
 
-def test_a_file_cannot_choose_the_method(work, tmp_path, capsys):
+def test_a_file_can_choose_the_method_and_its_options(work, tmp_path, capsys):
     options = tmp_path / "options.toml"
-    options.write_text('[stylize]\nmethod = "palettenerf"\n')
-    assert "given on the command line" in refused(capsys, 2, "stylize", work, "--config", options)
+    options.write_text(
+        '[stylize]\nmethod = "palettenerf"\nbases = 4\nbudget = "4"\nrefit_steps = 2\nfinest = 64\ntable_bits = 12\n'
+    )
+    made = said(capsys, "stylize", work, "--config", options, "--name", "by-file")
+    assert WorkFolder(work).get("field", "by-file").manifest.stage == "decompose" and made["figures"]["colors"] == 4
