@@ -1,9 +1,9 @@
 """Ours beside the official TensoRF code: `python -m benchmarks.beside_tensorf DATA OUT.json SHIPPED.json SHORT.json`.
 
 The last two are what `python -m benchmarks.tensorf` wrote: its schedule as it is, and compressed to its steps. With
-$STYLERF_BENCH_WORK our work folder is kept there, and what stands in it is not made again.
+$STYLERF_BENCH_WORK our work folder is kept there, and what it holds is not made again.
 
-Protocol: lego's training photos at 200x200 for all. Ours: `stylerf fit --budget Ns`, anew for each N until its fit has
+Protocol: lego's training photos at 200x200 for all. Ours: `stylerf fit --budget Ns`, again for each N until its fit has
 28 dB, then once for 60 s; the mean PSNR of all test views by `stylerf eval`; the time to a quality is the smallest N
 that reaches it. Theirs: see benchmarks/tensorf.py, three test views, evenly spread, looked at every 50 steps. Data
 loading, compiling and judging are on nobody's clock. Peak memory is that of the process, ours of the fit of 60 s. One

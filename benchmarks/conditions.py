@@ -17,7 +17,7 @@ def here_and_now() -> dict:
 
 
 def _model() -> str:
-    """The processor's name as Linux tells it; empty elsewhere."""
-    told = Path("/proc/cpuinfo")
-    found = re.search(r"^model name\s*:\s*(.+)$", told.read_text(), re.MULTILINE) if told.is_file() else None
+    """Return the name of the processor on Linux; empty elsewhere."""
+    info = Path("/proc/cpuinfo")
+    found = re.search(r"^model name\s*:\s*(.+)$", info.read_text(), re.MULTILINE) if info.is_file() else None
     return found[1].strip() if found else ""

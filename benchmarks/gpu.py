@@ -4,7 +4,7 @@ DATA holds lego, fern and styles (see benchmarks/fits.py). PARTS: ceilings, kern
 render; all if none is named. Writes no figure where there is no GPU: it stops.
 
 Protocol: fits, stylizations and edits are the stylerf commands below with --device cuda, one process each; seconds are
-the manifests' (training alone where it says so). Lego is fitted anew for each budget; its time to a quality is the
+the manifests' (training alone where it says so). Lego is refitted for each budget; its time to a quality is the
 smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
 kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead, on an empty cache,
 inputs random. `bound`
@@ -166,7 +166,7 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
     )
     wanted, background = torch.rand((rays, 4), device=device), torch.rand((rays, 3), device=device)
     density, color, ways = 4 * len(to_density), 4 * len(to_color), going.directions
-    named = {"stylized": "hash sum"}.get(kind, kind)  # its levels are added up, no head stands behind them
+    named = {"stylized": "hash sum"}.get(kind, kind)  # its levels are added up, without a head
 
     def adam() -> None:
         to_color.fill_(1e-9)  # else every run would be skipped
@@ -232,7 +232,7 @@ def time_to(rows: list[dict]) -> dict:
 
 
 def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
-    """A stylization of the fern that stands in the work folder, by the starry night."""
+    """A stylization of the fern in the work folder, by the starry night."""
     source = ["--of", f"fit-{BUDGETS[2]}"]
     if method == "desrf":
         stylerf("deform", str(work), *source, "--device", "cuda", "--name", "bent")
@@ -248,7 +248,7 @@ def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
 
 
 def edited(work: Path) -> dict:
-    """A whole local edit of the lego that stands in the work folder."""
+    """A whole local edit of the lego in the work folder."""
     name = "shovel"
     asked = ["--of", f"fit-{BUDGETS[2]}", *SHOVEL, "--recolor", "--palette", "0=#2050d0", "--name", name]
     seconds = stylerf("edit", str(work), *asked, "--device", "cuda")["seconds"]
@@ -334,7 +334,7 @@ def main(arguments: list[str]) -> None:
             try:
                 measure(part, data, kept, report, device)
             except Exception as error:
-                # A part that fails is told, and the others are measured: a GPU's time is short.
+                # Report a part that fails and measure the others: GPU time is short.
                 words = getattr(error, "stderr", None) or str(error)
                 report[part] = {"failed": f"{type(error).__name__}: {words[-600:]}"}
             print(part, json.dumps(report[part]), flush=True)

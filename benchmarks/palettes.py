@@ -49,19 +49,19 @@ def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
     made = stylerf("edit", str(work), *selection, "--recolor", "--palette", palette, "--name", region)
     learned = json.loads((work / "edit" / f"{region}-learned" / "manifest.json").read_text())
     seconds = sum(made["seconds"].values()) - made["seconds"]["region"] + learned["seconds"]
-    told = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
+    described = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
     figures = stylerf("eval", str(work), "--of", region, "--region", region)["figures"]
-    rows = [row(case, "laenerf", seconds, figures, told)]
+    rows = [row(case, "laenerf", seconds, figures, described)]
     method = ("stylize", str(work), "--method", "palettenerf")
     stylerf(*method, "--of", "fit-60s", "--budget", "60s", "--name", "palette")
     learned = json.loads((work / "field" / "palette" / "manifest.json").read_text())
-    told = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
+    described = {key: learned["figures"][key] for key in ("colors", "sparsity", "palette_variation")}
     for words, flags in (("everywhere", ()), ("within reach", (*selection[:2], "--reach", reach))):
         name = f"palette-{words.split()[0]}"
         stylerf(*method, "--of", "palette", "--palette", palette, *flags, "--name", name)
         figures = stylerf("eval", str(work), "--of", name, "--region", region)["figures"]
         seconds = seconds_of(work, "field/palette", f"field/{name}")
-        rows.append(row(case, f"palettenerf, {words}", seconds, figures, told))
+        rows.append(row(case, f"palettenerf, {words}", seconds, figures, described))
     return rows
 
 

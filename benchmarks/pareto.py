@@ -1,15 +1,15 @@
 """Accuracy against time, memory and parameters: `python -m benchmarks.pareto DATA STYLES OUT.json [OPTIONS]`.
 
-DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and what stands
-in them is not made again. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
+DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and finished
+runs are not repeated. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
 --budgets 60s,300s --stylized grow --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
 --flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
 
 Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylized) that had the
 longest budget is stylized by each method with each choice of rays (arf and desrf) and each style budget; all are
 evaluated on the held-out views, the stylized ones also along a path of 30 frames, in all three consistency protocols.
-`stylerf compare` then reads what stands: costs from the manifests, seconds since the fitted field for stylizations. One
-seed, one run at a time.
+`stylerf compare` then reads the work folders: costs from the manifests, for stylizations the seconds since the fitted
+field. One seed, one run at a time.
 """
 
 import argparse
@@ -40,12 +40,12 @@ def stylerf(*arguments: str) -> dict:
     command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     try:
-        told = json.loads(done.stdout)
+        result = json.loads(done.stdout)
     except json.JSONDecodeError:
         raise Failed(f"exit code {done.returncode}: {done.stderr.strip()[-300:]}") from None
     if done.returncode:
-        raise Failed(told.get("error", f"exit code {done.returncode}"))
-    return told
+        raise Failed(result.get("error", f"exit code {done.returncode}"))
+    return result
 
 
 def options_of(argv: list[str]) -> argparse.Namespace:
@@ -104,10 +104,10 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
 
 
 def rows_of(works: list[str], out: str) -> list[dict]:
-    """One row a run, from what stands in the work folders."""
-    told = stylerf("compare", *works, "--out", out)
-    means = [{key: round(one["mean"], 6) for key, one in run["metrics"].items()} for run in told["runs"]]
-    return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(told["runs"], means)]
+    """One row a run, from the work folders."""
+    result = stylerf("compare", *works, "--out", out)
+    means = [{key: round(one["mean"], 6) for key, one in run["metrics"].items()} for run in result["runs"]]
+    return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(result["runs"], means)]
 
 
 def main(argv: list[str] | None = None) -> None:

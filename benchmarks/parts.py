@@ -43,9 +43,9 @@ def measure(fitted: Path, style: Path, case: str, kept: Path) -> list[dict]:
     seconds |= {name: seconds_of(work, f"field/{name}") for name in ("within", "whole")}
     words = {region: "laenerf", "within": "refnpr, of the region", "whole": "refnpr, of the whole field"}
     rows = []
-    for name, told in words.items():
+    for name, label in words.items():
         figures = stylerf("eval", str(work), "--of", name, "--region", region)["figures"]
-        rows.append(row(case, told, seconds[name], figures, {}))
+        rows.append(row(case, label, seconds[name], figures, {}))
     return rows
 
 

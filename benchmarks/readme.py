@@ -306,7 +306,7 @@ def stress() -> str:
 
 
 def successes(rows: list[dict]) -> str:
-    """Success rates in words: cells run without and with remedies, then the other cells.
+    """Success rates as text: cells run without and with remedies, then the other cells.
 
     The number of seeds may differ between the two, so the percentages are means over cells.
     """
@@ -339,7 +339,7 @@ def _done(rows: list[dict]) -> str:
 
 
 def budget_text(budget: str) -> str:
-    """A budget in words: a plain number counts steps."""
+    """A budget as text: a plain number counts steps."""
     return f"{budget} steps" if budget.isdigit() else budget
 
 

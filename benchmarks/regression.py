@@ -38,7 +38,7 @@ def ratios(rows: list[dict]) -> dict[str, float]:
 
 
 def worse(before: list[dict], now: list[dict]) -> list[str]:
-    """What has become slower or worse, in words; what only one of the two has is not compared."""
+    """Describe what has become slower or worse; what only one of the two has is not compared."""
     old, new, found = ratios(before), ratios(now), []
     for name in old.keys() & new.keys():
         if new[name] > SLOWER * old[name]:

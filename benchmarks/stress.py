@@ -1,6 +1,6 @@
 """Methods under faults, without and with remedies: `python -m benchmarks.stress OUT.json WORK... [OPTIONS]`.
 
-Each WORK is a folder with a scene; runs are kept in WORK/stress, and what stands there is not made again. What is not
+Each WORK is a folder with a scene; runs are kept in WORK/stress, and finished runs are not repeated. What is not
 known here goes to `stylerf stress` as it is: --methods, --faults, --quick, --budget, --style-budget, --side, --seeds.
 
 Protocol: `stylerf stress` in one work folder after another, remedies as the command says; faults of made scenes,
@@ -48,10 +48,10 @@ def faults_of(asked: list[str], first: bool) -> list[str]:
 
 def rows_of(work: Path, faults: list[str], flags: list[str], remedies: str) -> tuple[list[dict], dict]:
     """A row a cell, and what was left out with the conditions of all."""
-    told = stylerf("stress", str(work), "--faults", *faults, "--remedies", remedies, "--quiet", *flags)
-    rows = [{"work": work.name} | {key: cell[key] for key in KEPT} for cell in told["cells"]]
-    missing = [{"work": work.name, **one} for one in told["missing"]]
-    conditions = {key: value for key, value in told["conditions"].items() if key != "scene"}
+    reply = stylerf("stress", str(work), "--faults", *faults, "--remedies", remedies, "--quiet", *flags)
+    rows = [{"work": work.name} | {key: cell[key] for key in KEPT} for cell in reply["cells"]]
+    missing = [{"work": work.name, **one} for one in reply["missing"]]
+    conditions = {key: value for key, value in reply["conditions"].items() if key != "scene"}
     return rows, {"missing": missing, "conditions": conditions}
 
 
@@ -64,9 +64,9 @@ def main(argv: list[str] | None = None) -> None:
             continue
         found, more = rows_of(work, faults, flags, asked.remedies)
         rows, missing = rows + found, missing + more["missing"]
-        told = shlex.join(["--faults", *asked.faults, "--remedies", asked.remedies, *flags])
+        flags_used = shlex.join(["--faults", *asked.faults, "--remedies", asked.remedies, *flags])
         report = {
-            "command": f"python -m benchmarks.stress OUT.json WORK... {told}",
+            "command": f"python -m benchmarks.stress OUT.json WORK... {flags_used}",
             "protocol": __doc__.split("Protocol: ")[1],
             **here_and_now(),
             "conditions": more["conditions"],

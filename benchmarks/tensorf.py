@@ -6,7 +6,7 @@ Protocol: its own train.py and configs/lego.txt on lego's training photos at 200
 its schedule as it is, for the first ITERATIONS steps; any other name divides each number of its schedule (steps, grid
 growth, masks) by 30,000 / ITERATIONS. Every LOOK steps VIEWS test views are rendered and measured; that is left out of
 its seconds. Freed memory is kept for the next step (glibc's settings below): each takes gigabytes, and where they go
-back to the system, clearing them anew was more than half of the time.
+back to the system, clearing them again was more than half of the time.
 """
 
 import json

@@ -49,7 +49,7 @@ class Recipe:
     """Everything that determines what a stage makes. Equal recipes make equal artifacts, so one is reused.
 
     Attributes:
-        incidental: Options that are recorded but do not affect the result, such as where a file lies.
+        incidental: Options that are recorded but do not affect the result, such as the path of a file.
         stored_digest: Digest of a recipe read from a manifest, which does not record what is incidental.
     """
 

@@ -62,7 +62,7 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
     if not views:
         raise BadInput(
             f"no training view shows region {inputs['region'].name}: it is hidden, or more than --tolerance "
-            f"{config.tolerance:g} of every pixel lies outside it"
+            f"{config.tolerance:g} of every pixel is outside it"
         )
     pixels = int(sum(len(view) for view in views))
     save_edit_views(partial.path, views, {"hidden": hidden, "region": inputs["region"].name, "reach": reach})

@@ -15,7 +15,7 @@ FOCUS = 0.6
 
 
 def space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
-    """The warp, and in words why. wanted: a kind, or auto for the one of the scene's layout.
+    """Return the warp and the reason as text. wanted: a kind, or auto for the one of the scene's layout.
 
     BadInput where the scene's bounds and cameras, sound one by one, span no space.
     """

@@ -18,7 +18,7 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 @dataclass(frozen=True)
 class MetricCell:
-    """A metric of a run in the table. letter: tells protocols of one group apart, empty if there is only one."""
+    """A metric of a run in the table. letter: distinguishes the protocols of a group, empty if there is one."""
 
     text: str
     on_front: bool = False

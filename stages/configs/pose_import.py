@@ -35,10 +35,10 @@ class ImportOptions:
     background: str = option(
         "auto",
         choices=("auto", "alpha", "white", "black", "none"),
-        help="what stands behind the object (auto: alpha where there is any, else by the pictures' borders)",
+        help="background of the object (auto: alpha if there is any, else from the image borders)",
     )
     test_every: int = option(
-        8, help="every how many-th photo is kept for tests where the source tells no split (0: none)"
+        8, help="hold out every Nth photo for tests if the source has no split (0: none)"
     )
     matching: str = option(
         "auto",

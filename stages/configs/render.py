@@ -7,7 +7,7 @@ from pathlib import Path
 from stages.configs import option
 
 OWN_VIEWS = ("train", "test", "views")  # paths of the scene's own views; "views": both others
-SLOWEST_FPS = 1 / 1001  # the least that a film's rate is told by: a fraction whose denominator is at most 1001
+SLOWEST_FPS = 1 / 1001  # video containers store the rate as a fraction with a denominator up to 1001
 
 
 @dataclass(frozen=True)

@@ -118,7 +118,7 @@ def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
     usable = [
         frames
         for frames, along, count in _measurable(runner.work, field)
-        # A camera file may have changed since; its digest tells.
+        # Compare digests: a camera file may have changed since.
         if (frames.manifest.config.get("path_digest") == wanted.path_digest if wanted.path_digest else along == path)
         and (path not in PATHS or count == wanted.count)
     ]

@@ -23,7 +23,7 @@ class Background:
 
     kind: alpha, white, black or none. cuts_out: what separates the object from its background, in
     words; empty if nothing does.
-    remark: what is transparent without cutting an object out, in words, else empty.
+    remark: a message about transparency that cuts out no object, else empty.
     """
 
     def __init__(self, wanted: str) -> None:

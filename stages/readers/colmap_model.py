@@ -301,7 +301,7 @@ class _Lines:
         self._at = 0
 
     def __iter__(self) -> Iterator[tuple[str, str]]:
-        """(where, line): the number of the line in words, the line without space around it."""
+        """(where, line): the line number as text, and the stripped line."""
         while (found := self.next(blank=False)) is not None:
             yield f"line {self._at}", found
 

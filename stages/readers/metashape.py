@@ -203,7 +203,7 @@ class _Photos(Folder):
         if found is None and self._below is None:
             self._below = {}
             for parent, below, files in os.walk(self.folder):
-                # Hidden folders and artifacts of a work folder that lies here are no photos.
+                # Skip hidden folders, and the artifacts of a work folder in this one.
                 below[:] = [name for name in below if name[0] != "." and "manifest.json" not in files]
                 for photo in images_in(Path(parent)) if "manifest.json" not in files else ():
                     self._below.setdefault(photo.stem, []).append(photo)

@@ -13,7 +13,7 @@ try:
 except ImportError:  # not needed on Linux, where /proc has the same figures
     psutil = None
 
-FREE_SHARE = 0.75  # of what is free, where no bound is given: the rest of the machine goes on working
+FREE_SHARE = 0.75  # of free memory, without --memory: leaves some to the rest of the machine
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 LEAST = 256 * 10**6  # bytes; the program alone takes more
 

@@ -11,7 +11,7 @@ _NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 
 def chosen_matching(wanted: str, names: list[str]) -> tuple[str, str]:
-    """exhaustive or sequential, and why in words. names: of the photos, in their order."""
+    """Return exhaustive or sequential, and the reason as text. names: file names in order."""
     if wanted != "auto":
         return wanted, "as requested"
     if len(names) <= MOST_FOR_ALL_PAIRS:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 
 from stages.configs.faults import FAULTS, METHODS
 
-REMEDIED, REMEDIED_FILE = " + remedies", "-remedied"  # in words; in names of files
+REMEDIED, REMEDIED_FILE = " + remedies", "-remedied"  # in labels; in file names
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def recolored(
         offsets = offsets * (1 + share * (edit.offset_scale - 1))[..., None]
         specular = specular * (1 + share * (edit.view_scale - 1))
     bases = list((intensity[..., None] * (palette + offsets)).unbind(1))
-    # The palette as it stands at each place: a later edit elsewhere starts from what was learned, here from this one.
+    # The current palette at each place: a later edit elsewhere starts from what was learned, here from this one.
     present = list(palette.expand(len(weights), *palette.shape).unbind(1))
     for edit, share in zip(edits, shares):
         edit.changes.check(len(bases))
@@ -159,7 +159,7 @@ def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def from_hsv(hue: Tensor, saturation: Tensor, value: Tensor) -> Tensor:
-    """[..., 3] of what to_hsv tells."""
+    """Invert to_hsv, [..., 3]."""
     channels = []
     for begin in (5.0, 3.0, 1.0):
         k = torch.remainder(begin + 6 * hue, 6.0)

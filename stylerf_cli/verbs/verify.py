@@ -53,7 +53,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
 
 
 def _checked(artifact: Artifact) -> dict[str, Any]:
-    # The folder tells the kind even if the manifest is damaged.
+    # Take the kind from the folder: the manifest may be damaged.
     row = {"kind": artifact.path.parent.name, "name": artifact.name, "path": artifact.path}
     try:
         artifact.verify()

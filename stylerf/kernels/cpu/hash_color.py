@@ -4,7 +4,7 @@ Level l is a grid of resolution[l]^3 cells whose vertices carry four floats. A l
 fit its table is indexed directly, others by iz ^ iy 2654435761 ^ ix 805459861 modulo the table's length (2^k).
 The interpolated values of all levels sum to f (4); the color is sigmoid(f[0:3] + f[3]).
 
-No network stands behind the grid: docs/decisions/0008 has the measurements.
+The grid feeds no network: docs/decisions/0008 has the measurements.
 """
 
 import numpy as np

@@ -14,7 +14,7 @@ def adam_kernel(
     at = begin + run[:, None] * 8 + tl.arange(0, 8)[None, :]
     inside = at < end
     g = tl.load(gradients + at, mask=inside, other=0.0)
-    # A NaN is no zero: its run is touched, and the loss tells of it.
+    # A NaN counts as nonzero: the update spreads it, and the loss shows it.
     touched = tl.max((g != 0.0).to(tl.int32), axis=1) > 0
     mask = inside & touched[:, None]
     m = beta1 * tl.load(first + at, mask=mask, other=0.0) + (1.0 - beta1) * g

@@ -116,13 +116,13 @@ def level_slopes(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y,
     for corner in tl.static_range(8):
         row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
         values = tl.load(table + row[:, None] + lane[None, :], mask=mask[:, None], other=0.0).to(tl.float32)
-        told = tl.sum(values * gradient, axis=1)
+        along = tl.sum(values * gradient, axis=1)
         wx = fx if corner // 4 == 1 else 1.0 - fx
         wy = fy if (corner // 2) % 2 == 1 else 1.0 - fy
         wz = fz if corner % 2 == 1 else 1.0 - fz
-        of_x += told * wy * wz if corner // 4 == 1 else -told * wy * wz
-        of_y += told * wx * wz if (corner // 2) % 2 == 1 else -told * wx * wz
-        of_z += told * wx * wy if corner % 2 == 1 else -told * wx * wy
+        of_x += along * wy * wz if corner // 4 == 1 else -along * wy * wz
+        of_y += along * wx * wz if (corner // 2) % 2 == 1 else -along * wx * wz
+        of_z += along * wx * wy if corner % 2 == 1 else -along * wx * wy
     return of_x * cells, of_y * cells, of_z * cells
 
 

@@ -109,7 +109,7 @@ def mlp_backward_kernel(
         of_bias += tl.sum(back, axis=0)
         of_bands = tl.dot(tl.trans(basis), back, acc=of_bands, input_precision="ieee")
         for m in tl.static_range(PIECES):
-            if PIECES > 1:  # one piece is still at hand
+            if PIECES > 1:  # a single piece is still loaded
                 phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
             rows = _rows(numbers, m * RANK, columns, RANK, UNITS)
             gradient = tl.dot(back, tl.trans(rows), input_precision="ieee")

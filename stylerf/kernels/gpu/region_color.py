@@ -56,7 +56,7 @@ def color_backward_kernel(
 ):  # fmt: skip
     """Add dL/d(table) of samples in marked cells that have a color.
 
-    The slope of a sigmoid is told by its value, whatever was added within.
+    A sigmoid's slope follows from its value alone.
     """
     count = tl.load(total)
     lane = tl.arange(0, 4)

@@ -57,7 +57,7 @@ def density_backward_kernel(
         x, y, z = vector(points, k, valid)
         tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
         rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
-        # What stands for blocks not kept never learns, and nothing would clear its gradients.
+        # The block shared by all unallocated ones is never trained, and nothing would clear its gradients.
         tl.atomic_add(to + rows, weights * g[:, None], mask=valid[:, None] & (rows >= 64), sem="relaxed")
 
 

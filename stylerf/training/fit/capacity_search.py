@@ -70,7 +70,7 @@ OF_RANKS = ("density ranks", "color ranks")
 
 
 def named(level: CapacityLevel, kinds: Kinds, settings: FitSettings) -> str:
-    """A capacity in words: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
+    """A capacity as text: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
     ranks = []
     if kinds.density == "vm":
         ranks.append(level.density_rank)
@@ -85,7 +85,7 @@ def named(level: CapacityLevel, kinds: Kinds, settings: FitSettings) -> str:
 class CapacitySearch:
     """Decides what is tried next and whether it stays; holds no arrays.
 
-    judges: what the quality is measured on, in words.
+    judges: what the quality is measured on, as text.
     """
 
     def __init__(self, settings: FitSettings, state: FitState, judges: str) -> None:
@@ -231,7 +231,7 @@ class CapacitySearch:
         return self.level
 
     def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
-        """End the trial: whether the change stays, and why in words. parameters: of the field on trial."""
+        """End the trial: whether the change is kept, and the reason. parameters: of the field on trial."""
         trial, old, new = self.state.trial, self.name(self.state.trial.level), self.name(self.level)
         gain = quality - trial.before
         if trial.grows:

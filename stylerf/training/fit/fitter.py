@@ -40,7 +40,7 @@ class Fitter:
 
     Args:
         dataset: Training rays; the last `held_out` views are for decisions.
-        on_say: Receives choices in words.
+        on_say: Receives messages about choices made.
         group: Processes that train this field together; settings.samples are the sum over them.
         engine: Makes the engine, from (dataset, seed, threads, first field, group); see training/backends.py.
     """

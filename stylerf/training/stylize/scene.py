@@ -154,7 +154,7 @@ class StyledScene:
         return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip)
 
     def _fixed_geometry(self) -> FixedGeometry:
-        # The shapes as they are now; the color goes on learning.
+        # A snapshot of the shapes; the color keeps training.
         moved, p = self.field.displacement, self.problem
         still = replace(self.field, displacement=None if moved is None else moved.copy())
         threshold = self.settings.weight_threshold
