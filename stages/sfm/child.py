@@ -43,6 +43,7 @@ def run(job: Job, progress: JobProgress) -> None:
 
     from stages.sfm import colmap_database, folding, mapping, photo_copies, quality, silhouettes
 
+    progress.started()
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
     folder = Path(job.folder)

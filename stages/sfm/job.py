@@ -61,6 +61,10 @@ class JobProgress:
     def __init__(self, stream: Any = None) -> None:
         self._stream = stream or sys.stdout
 
+    def started(self) -> None:
+        """Report that every library is loaded: from here on, a death may be due to the photos."""
+        self._send(event="started")
+
     def step(self, label: str, total: int, unit: str) -> None:
         """Begin a step of `total` units."""
         self._send(event="step", label=label, total=total, unit=unit)

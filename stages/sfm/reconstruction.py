@@ -138,14 +138,14 @@ def run_child(job: Path, context: Context) -> None:
             stderr=errors, env={**os.environ, "PYTHONPATH": _search_path()}, **OWN_GROUP,
         )  # fmt: skip
     try:
-        fault = _follow(child, context)
+        started, fault = _follow(child, context)
         code = child.wait()
     finally:
         _end(child)
     if fault or code:
         # On a full disk COLMAP and its libraries fail in many ways, and few say why.
         full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
-        raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log))
+        raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log, started))
 
 
 def _search_path() -> str:
@@ -163,11 +163,11 @@ def _end(child: subprocess.Popen) -> None:
         stream.close()
 
 
-def _follow(child: subprocess.Popen, context: Context) -> dict | None:
-    """Pass on the child's events until it closes its channel; return the fault it reported, if any."""
+def _follow(child: subprocess.Popen, context: Context) -> tuple[bool, dict | None]:
+    """Pass on the child's events until it closes its channel; return whether it started, and the fault it reported."""
     events: queue.Queue[dict | None] = queue.Queue()
     threading.Thread(target=_read, args=(child.stdout, events), daemon=True).start()
-    fault = None
+    started, fault = False, None
     while True:
         try:
             # On some systems no signal interrupts a wait without a timeout.
@@ -176,8 +176,10 @@ def _follow(child: subprocess.Popen, context: Context) -> dict | None:
             continue
         if event is None:
             context.progress.finish()
-            return fault
-        if event["event"] == "step":
+            return started, fault
+        if event["event"] == "started":
+            started = True
+        elif event["event"] == "step":
             context.progress.start(event["label"], event["total"], event["unit"])
         elif event["event"] == "done":
             context.progress.update(event["count"], event["note"])
@@ -204,8 +206,8 @@ def _fault(kind: str, text: str) -> BaseException:
     return {"OutOfResources": OutOfResources}.get(kind, BadInput)(text)
 
 
-def _death(code: int, log: Path) -> BaseException:
-    """Return the error for a child that died without reporting one."""
+def _death(code: int, log: Path, started: bool) -> BaseException:
+    """Return the error for a child that died without reporting one. started: it had loaded its libraries."""
     if hasattr(signal, "SIGKILL") and code == -signal.SIGKILL:
         return OutOfResources(
             "structure from motion was killed by the system, most likely for lack of memory; give a smaller "
@@ -216,4 +218,9 @@ def _death(code: int, log: Path) -> BaseException:
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     last = next((line for line in reversed(lines) if line[:1] in "EF" or "Error" in line), lines[-1] if lines else "")
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    if code > 0 and not started:  # Python ended by itself, before it looked at any photo
+        return OutOfResources(
+            f"structure from motion could not start ({how}: {last.strip()[:200]}); check that the disk with Python's "
+            "libraries can be read, and run the same command again"
+        )
     return BadInput(f"structure from motion failed ({how}: {last.strip()[:200]}); check the photos")

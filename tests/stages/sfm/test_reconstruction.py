@@ -15,7 +15,7 @@ import pycolmap
 import pytest
 
 from schemas.canonical_json import file_sha256
-from schemas.errors import BadInput
+from schemas.errors import BadInput, OutOfResources
 from schemas.images import read_image, to_uint8, write_png
 from stages.artifacts.scene import load_scene
 from stages.run.progress import Context, Silent
@@ -428,6 +428,13 @@ def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_pa
     names = sorted(one)
     angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
     assert angles.max() < 0.5 and distances.max() < 0.01
+
+
+def test_a_child_that_cannot_load_its_libraries_is_not_blamed_on_the_photos(tmp_path, room, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    (tmp_path / "pycolmap.py").write_text("raise ImportError('libcolmap.so: Input/output error')")
+    with pytest.raises(OutOfResources, match=r"could not start .*Input/output error"):
+        reconstruction.run_child(job_in(tmp_path, room), Context())
 
 
 def test_a_child_that_dies_is_told(tmp_path, room, monkeypatch):
