@@ -16,16 +16,16 @@ from tests.stylerf_cli.nursery import Nursery
 FEWEST, MOST = 2, 8
 
 
-# None of them changes what another one reads. The work folder comes after the verb.
+# None of them writes what another one reads or writes. The work folder comes after the verb.
 COMMANDS: tuple[tuple[object, ...], ...] = (
     ("fit", *FIT, "--seed", "1", "--name", "x"),
     ("fit", *FIT, "--seed", "2", "--name", "y"),
     ("render", "--of", "fit", "--path", "orbit", "--count", "5", "--name", "x"),
     ("render", "--of", "painted", "--path", "orbit", "--count", "4", "--name", "y"),
     ("extract", "--region", "all", "--name", "x"),
-    ("stylize", "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW, "--name", "x"),
+    ("stylize", "--region", "all", "--recolor", "--palette", "0=#ff0000", *FEW, "--name", "z"),
     ("distill", "--edit", "gray", "--name", "x"),
-    ("finetune", "--edit", "gray", "--budget", "20", "--rays", "512", "--name", "x"),
+    ("finetune", "--edit", "gray", "--budget", "20", "--rays", "512", "--name", "w"),
 )
 READING = (("show",), ("verify",))
 

@@ -134,7 +134,7 @@ def _mounted(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed,
             told = {"moment": moment, "code": code, "line": (err.splitlines() or [""])[-1][:300]}
             if code not in ENDS_WELL_OR_OUT_OF_RESOURCES or "Traceback" in err or (code and err.count("\n") != 1):
                 return told | {"fault": f"ends with {code}: {err.strip()[:600]}"}
-            fault = verified(nursery, folder / "work")
+            fault = verified(nursery, folder / "work", work.parent / "verify")  # the full disk has no room for output
             _mount(folder, "remount,size=256m")
             return told | {"fault": fault or finished_well(nursery, stage, folder / "work", whole)}
         finally:

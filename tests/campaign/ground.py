@@ -202,11 +202,14 @@ def leftovers(work: Path) -> list[str]:
     )
 
 
-def verified(nursery: Nursery, work: Path) -> str:
-    """Return what `stylerf verify` finds wrong with a work folder; empty if it is valid or missing."""
+def verified(nursery: Nursery, work: Path, output: Path | None = None) -> str:
+    """Return what `stylerf verify` finds wrong with a work folder; empty if it is valid or missing.
+
+    output: folder for its stdout and stderr, beside the work folder if None.
+    """
     if not work.is_dir():
         return ""
-    ended = nursery.run(work.parent / "verify", "verify", work, "--quiet")
+    ended = nursery.run(output or work.parent / "verify", "verify", work, "--quiet")
     nothing = ended.code == 3 and "holds no artifact" in ended.err
     return "" if ended.code == 0 or nothing else f"verify ends with {ended.code}: {ended.err.strip()}"
 
