@@ -203,7 +203,10 @@ def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
         raise BadInput(f"{path} is damaged or not a single-part EXR: it has {len(parts)} readable parts, expected 1")
     header = parts[0].header
     listed, tiles = header.get("channels", []), header.get("tiles")
-    names = [channel.name for channel in listed]
+    try:
+        names = [channel.name for channel in listed]
+    except UnicodeDecodeError:
+        raise BadInput(f"{path} is damaged: the name of a channel is not text; make or fetch it again") from None
     if header.get("type") not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
         raise BadInput(f"{path} is a deep EXR, with a list of samples for each pixel; flatten it")
     if tiles is not None and tiles.mode != OpenEXR.ONE_LEVEL:

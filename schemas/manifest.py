@@ -246,6 +246,6 @@ def _file(entry: Any) -> FileRecord:
     record = FileRecord(**entry)
     if relative_path(record.path, "path of a file").casefold() == MANIFEST:
         raise ValueError("it lists itself")
-    if type(record.bytes) is not int or record.bytes < 0 or not _SHA256.fullmatch(record.sha256):
+    if type(record.bytes) is not int or not 0 <= record.bytes < 1 << 63 or not _SHA256.fullmatch(record.sha256):
         raise ValueError(f"file {record.path!r} has no length and SHA-256")
     return record

@@ -3,7 +3,7 @@
 import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,6 +14,7 @@ from schemas.open_flags import NONBLOCK
 from schemas.safe_names import printable
 
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
+DEEPEST = 100  # levels of objects and lists
 
 
 @contextmanager
@@ -75,12 +76,24 @@ def read_json(path: Path | str, fault: type[StylerfError] = BadInput, limit: int
 
 def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
     """Parse JSON; `fault` names `where` it came from, and the line, if it is invalid."""
+    too_deep = fault(f"{where} is nested too deeply to be read")
     try:
-        return json.loads(text)
+        value = json.loads(text)
     except RecursionError:
-        raise fault(f"{where} is nested too deeply to be read") from None
+        raise too_deep from None
     except ValueError as error:  # invalid JSON, or an integer with thousands of digits
         raise fault(f"{where} is not valid JSON ({error})") from error
+    # json takes thousands of levels, which other code that follows a value down could not.
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [one for parent in level if isinstance(parent, dict | list) for one in _children(parent)]
+        if not level:
+            return value
+    raise too_deep
+
+
+def _children(parent: dict[str, Any] | list[Any]) -> Iterable[Any]:
+    return parent.values() if isinstance(parent, dict) else parent
 
 
 def _kind(mode: int) -> str:

@@ -281,9 +281,9 @@ def _write_points(folder: Path, source: SourceScene, scene_from_source: np.ndarr
     points = source.points
     if points is None:
         return
-    xyz = points.xyz @ scene_from_source[:3, :3].T + scene_from_source[:3, 3]
+    xyz = (points.xyz @ scene_from_source[:3, :3].T + scene_from_source[:3, 3]).astype(np.float32)
     kept = np.isfinite(xyz).all(axis=1)
-    tensors = {"xyz": xyz.astype(np.float32)[kept], "rgb": points.rgb[kept], "error": points.error[kept]}
+    tensors = {"xyz": xyz[kept], "rgb": points.rgb[kept], "error": points.error[kept]}
     save_tensors(folder / POINTS_FILE, tensors)
 
 

@@ -239,10 +239,24 @@ def read_toml(path: Path) -> dict[str, Any]:
         text = read_text(path, LARGEST_CONFIG, UsageError)
         if any(line.count(".") > MOST_DOTS for line in text.splitlines()):  # tomllib takes quadratic time
             raise UsageError(f"--config {path} is nested too deeply to be read")
-        return tomllib.loads(text)
+        return _checked_integers(tomllib.loads(text), path)
     except FileNotFoundError:
         raise UsageError(f"--config {path} cannot be read: there is no such file") from None
     except RecursionError:
         raise UsageError(f"--config {path} is nested too deeply to be read") from None
     except ValueError as error:  # invalid TOML, or numbers with thousands of digits
         raise UsageError(f"--config {path} is not valid TOML: {error}") from error
+
+
+def _checked_integers(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return `content`; UsageError if an integer needs more than TOML's 64 bits."""
+    left: list[Any] = [content]
+    while left:
+        value = left.pop()
+        if isinstance(value, dict):
+            left.extend(value.values())
+        elif isinstance(value, list):
+            left.extend(value)
+        elif isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+            raise UsageError(f"--config {path}: an integer of {value.bit_length()} bits is more than TOML's 64")
+    return content

@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 import threading
+import warnings
 from _thread import interrupt_main
 from argparse import SUPPRESS, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterator
@@ -39,6 +40,8 @@ EXIT_CODES = (
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code. argv: without the name of the program."""
     open_standard_streams()
+    # numpy warns where numbers of a damaged file overflow; whatever is read is checked to be finite and says so itself.
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy|stages|stylerf|schemas")
     _name_the_nameless()
     argv = list(sys.argv[1:] if argv is None else argv)
     as_json = "--json" in argv

@@ -51,4 +51,6 @@ def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
         raise InvalidValue(f"the array {view}.pixels is not in ascending order")
     shapes = {name: (count, WIDE[name]) if name in WIDE else (count,) for name in ARRAYS[1:]}
     own = {name: validation.array(arrays, f"{view}.{name}", np.float32, shape) for name, shape in shapes.items()}
+    if not (np.abs(np.linalg.norm(own["directions"].astype(np.float64), axis=1) - 1) < 1e-3).all():
+        raise InvalidValue(f"the array {view}.directions holds a vector that is not of length 1")
     return EditView(view, width, height, pixels, **own)

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import sys
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -85,7 +86,8 @@ def summarize(
 
 def is_number(value: object) -> bool:
     """Whether the value is a finite int or float, not a bool."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return known and -sys.float_info.max <= value <= sys.float_info.max  # isfinite() cannot take a larger int
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

@@ -209,7 +209,8 @@ def natural(text: str) -> tuple:
             digits += letter
             continue
         if digits:
-            parts.append((0, int(digits), ""))
+            value = digits.lstrip("0")  # compared as text: int() refuses thousands of digits
+            parts.append((0, len(value), value))
             digits = ""
         parts.append((1, 0, letter))
     return tuple(parts)

@@ -202,6 +202,14 @@ def test_truncated_files_are_refused(tmp_path, view, keep):
     assert "\n" not in str(caught.value)
 
 
+def test_a_channel_whose_name_is_no_text_is_refused(tmp_path, view):
+    path = tmp_path / "v.exr"
+    write_exr(path, view)
+    path.write_bytes(path.read_bytes().replace(b"Z\0", b"\xff\0", 1))
+    with pytest.raises(BadInput, match=r"v\.exr"):
+        read_exr(path)
+
+
 def test_flipped_bytes_are_refused_or_harmless(tmp_path, view):
     path = tmp_path / "v.exr"
     noisy = np.random.default_rng(0).random(view.rgb.shape)

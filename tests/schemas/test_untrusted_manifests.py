@@ -64,9 +64,10 @@ def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
             assert "\n" not in str(fault)
 
 
-def test_a_nested_manifest_is_damage(tmp_path):
+@pytest.mark.parametrize("depth", [500, 50_000])  # what json can parse, and what it cannot
+def test_a_nested_manifest_is_damage(tmp_path, depth):
     artifact = make(WorkFolder(tmp_path))
-    text = b'{"a": ' * 50_000 + b'"self_sha256": "' + b"0" * 64 + b'"'
+    text = b'{"recipe": ' * depth + b"1" + b"}" * (depth - 1) + b', "self_sha256": "' + b"0" * 64 + b'"}'
     from schemas.manifest import _sealed
 
     (artifact.path / MANIFEST).write_bytes(_sealed(text))

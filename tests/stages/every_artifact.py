@@ -174,8 +174,8 @@ def _save_views(folder: Path) -> None:
     rng, views = np.random.default_rng(19), []
     for view, count in ((1, 4), (3, 6)):
         wide, narrow = (rng.random((count, 3)).astype(np.float32) for _ in range(2))
-        one = np.ones(count, np.float32)
-        views.append(EditView(view, SIZE, SIZE, np.arange(count) * 7, wide, narrow, wide, narrow, one, one, one, one,
+        one, unit = np.ones(count, np.float32), narrow / np.linalg.norm(narrow, axis=1, keepdims=True)
+        views.append(EditView(view, SIZE, SIZE, np.arange(count) * 7, wide, narrow, unit, narrow, one, one, one, one,
                               0 * one, wide[:, :2].copy()))  # fmt: skip
     save_edit_views(folder, views, {"hidden": [], "region": "part", "reach": 0.1})
 

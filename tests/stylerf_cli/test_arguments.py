@@ -102,6 +102,8 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ("steps = true", "steps takes a whole number"),
         ("budget = 60", "budget takes a text in quotes"),
         ("prune = 1", "true or false"),
+        (f"learning_rate = 1{'0' * 400}", "1329 bits is more than TOML's 64"),
+        (f"grid = [1, 0x{'f' * 9000}]", "36000 bits is more than TOML's 64"),
         ("learning_rate = nan", "learning_rate takes a number"),
         ("grid = [1]", "list of 2"),
         ("grid = 1", "list of 2"),

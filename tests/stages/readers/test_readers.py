@@ -17,7 +17,7 @@ from stages.evaluation.region_masks import resized_mask
 from stages.pipeline.importing import import_config
 from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import photos_of
-from stages.readers.source import find_image
+from stages.readers.source import find_image, natural
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
@@ -325,3 +325,8 @@ def test_rows_of_llff_are_of_photos_in_alphabetical_order(source, tmp_path):
         expected = [np.linalg.norm(wanted[place] - wanted[("1", "10", "11", "2").index(other)]) for other in centers]
         ratio = np.array(apart[name])[np.array(expected) > 0] / np.array(expected)[np.array(expected) > 0]
         assert np.ptp(ratio) < 1e-3 * ratio.mean()  # a scene may be scaled as a whole
+
+
+def test_names_sort_by_their_numbers_of_any_length():
+    names = ["p10", "p9", "p007", "p" + "9" * 5000, "p8x", "p8"]
+    assert sorted(names, key=natural) == ["p007", "p8", "p8x", "p9", "p10", "p" + "9" * 5000]
