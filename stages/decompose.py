@@ -71,6 +71,8 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
     state, decomposed = trainer.state, trainer.scene.field
     save_field(partial.path, decomposed, background)
     color, totals = decomposed.color, {key: figures[key] for key in ("sparsity", "palette_variation")}
+    if not isinstance(color, PaletteColor):
+        raise TypeError(f"a decomposition has palette colors, not {color.kind}")
     save_palette(partial.path, color.palette, color.palette, figures["shares"], totals)
     return {
         **figures,

@@ -17,6 +17,7 @@ from stages.run.runner import Spec
 from stages.run.training_loop import run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
@@ -72,11 +73,18 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         "psnr_before": round(state.before, 3),
         "psnr_after": round(state.before if fitter.dropped else state.best, 3),
         "dropped": fitter.dropped,
-        "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
+        "displacement_rms": _rms(field),
         "parameters": field.parameters + len(deformation.values),
         **gpu_figures(device),
         **scene.exposure_figures,
     }
+
+
+def _rms(field: RadianceField) -> float:
+    """Root mean square of the displacement, in cubes two units wide."""
+    if field.displacement is None:
+        return 0.0
+    return float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean()))
 
 
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArtifact, context: Context) -> None:

@@ -17,6 +17,7 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_grid import Region
+from stylerf.editing.edit_views import EditView
 from stylerf.editing.extraction import Extraction, Seen, seen_of_view
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -56,7 +57,7 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
             else:
                 views.append(seen.edit)
                 if config.exr:
-                    write_exr(partial.path / "exr" / f"{camera.name}.exr", _exr(seen, camera, field))
+                    write_exr(partial.path / "exr" / f"{camera.name}.exr", _exr(seen, seen.edit, camera, field))
             context.progress.update(done + 1)
     context.progress.finish()
     if not views:
@@ -81,9 +82,8 @@ def _size(region: Region, space: SpaceWarp) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _exr(seen: Seen, camera: Camera, field: RadianceField) -> ExrView:
+def _exr(seen: Seen, edit: EditView, camera: Camera, field: RadianceField) -> ExrView:
     """The photo within the region, by the field's alpha; masks: region, transition, edges."""
-    edit = seen.edit
     full = {name: np.zeros(seen.alpha.size, np.float32) for name in ("alpha", "transition", "below", "beside")}
     rgb = np.zeros((seen.alpha.size, 3), np.float32)
     rgb[edit.pixels] = linear_from_srgb(edit.target) * edit.weight[:, None]

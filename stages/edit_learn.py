@@ -47,10 +47,8 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        style_image, extractor = (
-            cropped(config),
-            FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu"),
-        )
+        style_image = cropped(config)
+        extractor = FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
         if config.match and not config.preserve_color:
             views = in_style_colors(views, style_image, context.seed)
@@ -73,8 +71,13 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
     if style_image is not None:
         write_png(partial.path / "style.png", to_uint8(style_image.permute(1, 2, 0).numpy()))
-    more = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
-    return {**figures, **more, **gpu_figures(device)}
+    return {
+        **figures,
+        "features": features,
+        "views": len(views),
+        "curve_edit": trainer.state.curve,
+        **gpu_figures(device),
+    }
 
 
 def settings_of(config: EditConfig) -> EditSettings:

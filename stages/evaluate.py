@@ -182,8 +182,7 @@ class Evaluation:
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
-        index = self.base.index_of(render.scene_view) if self.base is not None else None
-        return None if index is None else self.base.render(index)
+        return None if self.base is None else self.base.same_view(render)
 
     def measure_path(self) -> None:
         """Measure the consistency of frames 1 and `gap` apart into `pairs`."""
@@ -280,9 +279,9 @@ class Evaluation:
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
-            known = render.name not in self.unmatched
             size = (render.camera.width, render.camera.height)
-            photo = self.scene.photo(render.scene_view, *size) if known else None
+            matched = render.scene_view if render.name not in self.unmatched else None
+            photo = None if matched is None else self.scene.photo(matched, *size)
             heading = f"{render.name} ({word})" if word else render.name
             base = self.edit.unedited_render(render) if self.edit else self._base_of(render) if self.stylized else None
             sheet.add(heading, self.rows[index], render, photo, base)

@@ -26,7 +26,8 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import finetune_engine, style_backend
-from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
+from stylerf.training.finetune.engine import FineTuneSettings
+from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight from which a sample counts as seen
@@ -113,7 +114,10 @@ def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPi
     targets = edit_targets(scene)
     if not targets:
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
-    views, pixels, depths, beside = [], [], [], []
+    views: list[np.ndarray] = []
+    pixels: list[np.ndarray] = []
+    depths: list[np.ndarray] = []
+    beside: list[np.ndarray] = []
     edits = ("", EARLIER) if earlier else ("",)
     for place, index in enumerate(train):
         parts = [targets[index, part] for part in edits if (index, part) in targets]

@@ -140,7 +140,7 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
     """Split off the repeated cameras of a photo: lists merged by hand name some photos twice."""
     first: dict[Path, SourceCamera] = {}
     for one in cameras:
-        first.setdefault(one.image.resolve(), one)
+        first.setdefault(one.photo.resolve(), one)
     kept = list(first.values())
     return kept, [one for one in cameras if one not in kept]
 
@@ -157,7 +157,7 @@ def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
         BadInput: That leaves two views with one name.
     """
     names = Counter(one.name for one in cameras)
-    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.photo.suffix) for one in cameras]
     first: dict[str, SourceCamera] = {}
     for one in apart:
         if (other := first.setdefault(one.name, one)) is not one:
@@ -216,7 +216,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
         replace(camera, world_from_camera=scene_normalization.moved(one.pose, similarity))
         for one, camera in zip(photos, plain, strict=True)
     ]
-    return Frame(layout, similarity, cameras, [one.camera.split for one in photos])
+    return Frame(layout, similarity, cameras, [one.split for one in photos])
 
 
 def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
@@ -232,7 +232,8 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
     else:
         box = _object_box(frame, backdrop)
         near, far = scene_normalization.depths_of_box(frame.cameras, box)
-    return Bounds(tuple(tuple(float(value) for value in corner) for corner in box), float(near), float(far))
+    (x0, y0, z0), (x1, y1, z1) = np.asarray(box, float).tolist()
+    return Bounds(((x0, y0, z0), (x1, y1, z1)), float(near), float(far))
 
 
 def _object_box(frame: Frame, backdrop: Background) -> np.ndarray:
@@ -293,7 +294,7 @@ def _image(index: int) -> str:
 
 def _view(index: int, one: Sized, camera: Camera) -> View:
     return View(
-        name=camera.name, image=_image(index), split=one.camera.split, width=camera.width, height=camera.height,
+        name=camera.name, image=_image(index), split=one.split, width=camera.width, height=camera.height,
         fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy,
         world_from_camera=as_matrix(camera.world_from_camera), source=one.camera.source,
     )  # fmt: skip

@@ -105,7 +105,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": _trained_color(stylized).finest,
+        "finest": _finest(stylized.color),
         "parameters": stylized.parameters,
         "features": resolved.manifest(),
         "views": len(problem.cameras),
@@ -116,8 +116,10 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     }
 
 
-def _trained_color(field: RadianceField) -> HashColor:
-    return field.color.own if isinstance(field.color, RegionColor) else field.color
+def _finest(color: ColorPart) -> int | None:
+    """Cells per side of the finest level of the trained colors."""
+    own = color.own if isinstance(color, RegionColor) else color
+    return own.finest if isinstance(own, HashColor) else None
 
 
 def _problem(
@@ -181,7 +183,7 @@ def _method(
         view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)
         context.progress.say(f"making view {problem.cameras[view].name} the reference")
         references = {view: None}
-        if config.reference_by == "adain":
+        if config.reference_by == "adain" and problem.style_image is not None:
             photo = problem.photos[view]
             references[view] = decoded_reference(photo, problem.style_image, config.style_scale, device or "cpu")
     matching = extractor(reference_layers(config, resolved.state))
@@ -197,6 +199,8 @@ def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneD
         return {}
     by, references = "file" if config.reference else config.reference_by or "nnfm", []
     for place, image in method.references.items():
+        if image is None:
+            continue
         index = scene.splits["train"][place]
         file = f"reference-{index}.png"
         write_png(partial.path / file, to_uint8(image))

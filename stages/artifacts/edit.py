@@ -111,8 +111,11 @@ def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
     """Changes counted as palette.json counts colors, as the module counts them."""
-    named = (changes.colors, changes.scales, changes.biases)
-    return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
+    return PaletteEdits(
+        {columns[index]: color for index, color in changes.colors.items()},
+        {columns[index]: scale for index, scale in changes.scales.items()},
+        {columns[index]: bias for index, bias in changes.biases.items()},
+    )
 
 
 def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:

@@ -45,9 +45,9 @@ def training_view(scene: SceneData, name: str, flag: str) -> int:
     return train.index(index)
 
 
-def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray]:
+def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray | None]:
     """By place among the training views: its stylized picture, [h, w, 3] sRGB 0..1, of the view's size."""
-    found = {}
+    found: dict[int, np.ndarray | None] = {}
     for text in references:
         name, file = file_of(text)
         place = training_view(scene, name, f"--reference {text}")
@@ -101,6 +101,7 @@ def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, d
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
     trunk = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
-    picture = style_picture(painting, *photo.shape[:2], scale=scale).to(device)
+    height, width = photo.shape[:2]
+    picture = style_picture(painting, height, width, scale).to(device)
     made = adain_picture(trunk, Decoder(decoder.state).to(device), there, picture)
     return made.permute(1, 2, 0).contiguous().cpu().numpy()

@@ -1,6 +1,7 @@
 """Charts of metrics against cost, one per family and cost: one panel per metric, one color per group."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 from stages.comparison.pareto_fronts import Panel, panel_of
 from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLIZATIONS, Run
@@ -11,7 +12,8 @@ from stylerf.environment.matplotlib_defaults import Figure as Drawing
 
 # Okabe and Ito's color-blind safe palette, without the yellow, which is illegible on white.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#888888")
-LINES = ("-", "--", ":", "-.")  # groups beyond the palette reuse its colors, darker each time
+LineStyle = Literal["-", "--", ":", "-."]
+LINES: tuple[LineStyle, ...] = ("-", "--", ":", "-.")  # groups beyond the palette reuse its colors, darker each time
 DARKER = 0.6
 MARKERS = "osD^vPX*"
 AXES = {
@@ -53,13 +55,14 @@ def _chart(family: str, cost: str, panels: list[Panel]) -> Chart:
         return finish(drawing, f"{family}_{cost}", title, "; ".join(map(_description, panels)))
 
 
-def group_style(index: int) -> tuple[str, str]:
+def group_style(index: int) -> tuple[str, LineStyle]:
     """Color and line style of a group; the first 28 are distinct."""
     reuse, color = divmod(index, len(COLORS))
-    return to_hex([part * DARKER**reuse for part in to_rgb(COLORS[color])]), LINES[reuse % len(LINES)]
+    red, green, blue = (part * DARKER**reuse for part in to_rgb(COLORS[color]))
+    return to_hex((red, green, blue)), LINES[reuse % len(LINES)]
 
 
-def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
+def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, LineStyle]], methods: dict[str, str]) -> None:
     leading = {run.title for front in panel.fronts for run in front}
     for run in panel.runs:
         color, _ = groups[run.group]
@@ -88,7 +91,7 @@ def _draw(axes: Axes, panel: Panel, groups: dict[str, tuple[str, str]], methods:
     axes.grid()
 
 
-def _legend(drawing: Drawing, groups: dict[str, tuple[str, str]], methods: dict[str, str]) -> None:
+def _legend(drawing: Drawing, groups: dict[str, tuple[str, LineStyle]], methods: dict[str, str]) -> None:
     handles = [
         Line2D([], [], color=color, linestyle=line, linewidth=3, label=group) for group, (color, line) in groups.items()
     ]

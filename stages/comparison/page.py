@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from stages.comparison.cost_charts import TITLES
-from stages.comparison.pareto_fronts import Protocol, protocols_of
-from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, Gap, Run, RunMetric
+from stages.comparison.pareto_fronts import protocols_of
+from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, Gap, Protocol, Run, RunMetric
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.metrics import Row
 from stages.report.charts import Chart

@@ -1,10 +1,23 @@
 """Options of `stylerf stress`."""
 
 from dataclasses import dataclass
+from typing import TypedDict
 
 from stages.configs import option
 from stages.configs.faults import FAULTS, METHODS
 from stages.configs.fit import budget_of
+
+
+class Conditions(TypedDict):
+    """What all trials share. Budgets are a time or a number of steps."""
+
+    seeds: int
+    budget: str
+    style_budget: str
+    side: int
+    views: int
+    tests: int
+    quick: bool
 
 
 @dataclass(frozen=True)
@@ -52,7 +65,7 @@ class StressConfig:
         return [name for name in FAULTS if name in self.faults or "all" in self.faults]
 
     @property
-    def conditions(self) -> dict[str, object]:
+    def conditions(self) -> Conditions:
         """What all trials share, and what a baseline must share with them."""
         quick = self.quick
         budget = self.budget or ("150" if quick else "20s")

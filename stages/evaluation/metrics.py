@@ -6,6 +6,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeGuard
 
 from schemas.atomic_write import replacing
 from schemas.safe_names import printable
@@ -57,7 +58,7 @@ def summarize(
     found = []
     for definition in DEFINITIONS:
         having = [row for row in rows if definition.key in row]
-        values = sorted(float(row[definition.key]) for row in having if is_number(row[definition.key]))
+        values = sorted(value for row in having if (value := number_in(row, definition.key)) is not None)
         if not values:
             continue
         middle = len(values) // 2
@@ -83,9 +84,15 @@ def summarize(
     return found
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether the value is a finite int or float, not a bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def number_in(row: Row, key: str) -> float | None:
+    """The finite number that a row has under a key, if any."""
+    value = row.get(key)
+    return float(value) if is_number(value) else None
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

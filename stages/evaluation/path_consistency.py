@@ -1,6 +1,7 @@
 """Multi-view consistency of the frames of a camera path, by one protocol or several."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -108,21 +109,18 @@ class PathConsistency:
         if bad is not None:
             row.skip(sum(keys.values(), ()), f"{bad.name}: {nonfinite_message(bad)}")
             return row
-        forward, backward = self._flows(views, indices)
+        flows = self._flows(views, indices)
         for protocol, names in keys.items():
-            row.measure(
-                names, lambda protocol=protocol: self._values(protocol, views, forward, backward, perceptual)[:count]
-            )
+            row.measure(names, partial(self._values, protocol, views, flows, perceptual, count))
         if self._mask is not None and "correct" in self.protocols:
             within = self._mask(views[1])
-            key = (f"edit_{label}_rmse",)
-            row.measure(key, lambda: self._values("correct", views, forward, backward, False, within)[0])
+            row.measure((f"edit_{label}_rmse",), lambda: self._values("correct", views, flows, False, 1, within))
         return row
 
-    def _flows(self, views: tuple[Render, Render], indices: tuple[int, int]):
-        """Flow from the first view to the second, and back; (None, None) if no protocol needs it."""
+    def _flows(self, views: tuple[Render, Render], indices: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Flow from the first view to the second, and back; None if no protocol needs it."""
         if self.protocols == ("correct",) and not self.config.flow:
-            return None, None
+            return None
         first, second = views
         return self.flows.between(first, second, indices), self.flows.between(second, first, indices[::-1])
 
@@ -130,18 +128,19 @@ class PathConsistency:
         self,
         protocol: str,
         views: tuple[Render, Render],
-        forward: np.ndarray | None,
-        backward: np.ndarray | None,
+        flows: tuple[np.ndarray, np.ndarray] | None,
         perceptual: bool,
+        count: int,
         within: np.ndarray | None = None,
     ) -> tuple:
-        """Error, fraction of pixels and perceptual distance of one pair by one protocol."""
+        """The first `count` of error, fraction of pixels and perceptual distance of one pair by one protocol."""
         first, second = views
         pixels, image = (self._pixel_distance, self._image_distance) if perceptual else (None, None)
-        if protocol == "correct" and not self.config.flow:
+        if flows is None or (protocol == "correct" and not self.config.flow):
             one, other = first.posed(), second.posed()
-            found = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
-            return found.rmse, found.share, found.perceptual
+            pair = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
+            return (pair.rmse, pair.share, pair.perceptual)[:count]
+        forward, backward = flows
         if protocol == "correct":
             opaque = second.alpha > 0.5
             counted = opaque if within is None else opaque & within
@@ -150,4 +149,4 @@ class PathConsistency:
             found = laenerf_script(first.image, second.image, forward, backward, image)
         else:
             found = stylerf_family(first.image, second.image, forward, pixels)
-        return found.error, found.share, found.perceptual
+        return (found.error, found.share, found.perceptual)[:count]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from schemas.canonical_json import file_sha256
 from schemas.images import read_image
@@ -24,7 +25,8 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
         read_image(style)
     styled = style_file(config, field) is not None
     networks = available_networks(config.perceptual != "none", styled, config.features)
-    return replace(config, **digests_of_files(config), networks=networks)
+    digests: dict[str, Any] = digests_of_files(config)
+    return replace(config, **digests, networks=networks)
 
 
 def digests_of_files(config: EvaluateConfig) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -72,9 +73,9 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
         )
     row.measure(("ssim",), lambda: image_quality.ssim(render.image, reference, photo.visible))
     for key, score in scores.items():
-        row.measure((key,), lambda score=score: score(render.image, reference))
+        row.measure((key,), partial(score, render.image, reference))
     if photo.depth is not None:
-        row.measure(depth_keys, lambda: _depth_values(render, photo.depth))
+        row.measure(depth_keys, partial(_depth_values, render, photo.depth))
 
 
 def _depth_values(render: Render, truth: np.ndarray) -> tuple:

@@ -50,8 +50,8 @@ def with_splits(
     kept = [replace(one, split=splits_of.get(one.source, rest)) for one in cameras]
     skipped = [(one.source, "in no train or test list") for one in kept if one.split is None]
     train, test = (sum(one.split == split for one in kept) for split in ("train", "test"))
-    names = ", ".join(path.name for path, _ in lists)
-    remarks.append(f"split by {names}: {train} train, {test} test, {len(skipped)} left out")
+    read = ", ".join(path.name for path, _ in lists)
+    remarks.append(f"split by {read}: {train} train, {test} test, {len(skipped)} left out")
     return [one for one in kept if one.split], skipped, remarks
 
 

@@ -56,8 +56,8 @@ def read(source: Path, images: str) -> SourceScene:
         remarks += reader.remarks(frames)
     remarks += [f"{count} frames left out: {why}" for why, count in Counter(why for _, why in skipped).items()]
     if not cameras:
-        left_out = f"; {remarks[-1]}" if skipped else ""
-        raise BadInput(f"{source} lists no frames to import{left_out}; repair the list or export it again")
+        why = f"; {remarks[-1]}" if skipped else ""
+        raise BadInput(f"{source} lists no frames to import{why}; repair the list or export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
         f"transforms.json of {kind}",
@@ -74,9 +74,9 @@ def lists_of(source: Path) -> list[tuple[Path, str | None]]:
     if source.is_file():
         return [(source, None)]
     if (source / "transforms_train.json").is_file():
-        files = [(source / "transforms_train.json", "train")]
         other = [source / f"transforms_{name}.json" for name in ("test", "val")]
-        return files + [(path, "test") for path in other if path.is_file()][:1]
+        tests = [path for path in other if path.is_file()][:1]
+        return [(source / "transforms_train.json", "train"), *((path, "test") for path in tests)]
     if (source / "transforms.json").is_file():
         return [(source / "transforms.json", None)]
     return [(path, None) for path in sorted(source.glob("transforms*.json"))[:1]]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stages.evaluation.metrics import Row, is_number
+from stages.evaluation.metrics import Row, is_number, number_in
 from stages.evaluation.test_views import Photo, Render
 from stages.report.evaluation_page import Pictures, SheetRow
 from stages.report.formatting import number
@@ -27,7 +27,8 @@ def chosen_views(rows: Sequence[Row], key: str, limit: int) -> list[tuple[int, s
     for i, row in enumerate(rows):
         if row.get("remark") and len(chosen) < max(1, limit // 2):
             chosen[i] = "see the remark"
-    ranked = sorted((i for i, row in enumerate(rows) if is_number(row.get(key))), key=lambda i: rows[i][key])
+    values = [(number_in(row, key), i) for i, row in enumerate(rows)]
+    ranked = [i for _, i in sorted((value, i) for value, i in values if value is not None)]
     if len(ranked) > 1:
         chosen.setdefault(ranked[0], "worst")
         chosen.setdefault(ranked[-1], "best")

@@ -91,8 +91,8 @@ def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> 
 def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
     """A few at a time, those with masks apart: where COLMAP knows a folder of masks it finds nothing in photos that
     have none there."""
-    for _, alike in groupby(copies, lambda copy: copy.cut_out):
-        alike = list(alike)
+    for _, group in groupby(copies, lambda copy: copy.cut_out):
+        alike = list(group)
         for start in range(0, len(alike), PHOTOS_AT_ONCE):
             yield alike[start : start + PHOTOS_AT_ONCE]
 

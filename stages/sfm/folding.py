@@ -44,7 +44,8 @@ def expected(model, pairs: list, compared: set[tuple[str, str]]) -> Expected:
     """What must match by the poses of the model. pairs: see matched_pairs; compared: names of the pairs tried."""
     inliers = {frozenset(pair[:2]): len(pair[2].inlier_matches) for pair in pairs}
     seen = {model.images[number].name: _Seen(model, model.images[number]) for number in model.reg_image_ids()}
-    matched, silent = [], []
+    matched: list[tuple[str, str]] = []
+    silent: list[tuple[str, str]] = []
     for first, second in sorted(compared):
         if first not in seen or second not in seen:
             continue

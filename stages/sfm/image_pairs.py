@@ -22,10 +22,10 @@ def chosen_matching(wanted: str, names: list[str]) -> tuple[str, str]:
 
 
 def _are_frames(names: list[str]) -> bool:
-    found = [_NUMBER.search(name) for name in names]
-    if not all(found):
+    found = [match for name in names if (match := _NUMBER.search(name))]
+    if len(found) < len(names):
         return False
-    stems = {name[: match.start()] for name, match in zip(names, found, strict=True)}
+    stems = {match.string[: match.start()] for match in found}
     numbers = [int(match.group()) for match in found]
     steps = [after - before for before, after in pairwise(numbers)]
     # Dropped frames leave gaps, but most steps of a sampled video are equal.

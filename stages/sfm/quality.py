@@ -66,7 +66,7 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
     """Figures of models[0] (others only counted); all zero where there is no model. pairs: see matched_pairs."""
     flat = (pycolmap.TwoViewGeometryConfiguration.PLANAR, pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
             pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
-    flat_share = float(np.mean([geometry.config in [int(one) for one in flat] for *_, geometry in pairs] or [0.0]))
+    flat_share = float(np.mean([float(geometry.config in map(int, flat)) for *_, geometry in pairs] or [0.0]))
     if not models:
         return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, 0.0, (), False)
     model = models[0]

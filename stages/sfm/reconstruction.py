@@ -159,7 +159,7 @@ def _end(child: subprocess.Popen) -> None:
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
         child.wait()
-    for stream in (child.stdin, child.stdout):
+    for stream in filter(None, (child.stdin, child.stdout)):
         stream.close()
 
 

@@ -103,7 +103,8 @@ def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
     """
     earlier = {(one["method"], one["fault"]): one for one in before}
     now = {(cell.method, cell.fault): cell for cell in cells}
-    worse, better = [], []
+    worse: list[str] = []
+    better: list[str] = []
     both = [key for key in now if key in earlier]
     matched = [key for key in both if now[key].count == earlier[key]["count"]]
     for key in matched:

@@ -43,7 +43,7 @@ def _outcome(content: object) -> Outcome:
         and type(found.seed) is int
         and isinstance(found.figures, dict)
         and all(map(is_number, numbers))
-        and all(is_number(one) or one in NOT_FINITE for one in found.figures.values())
+        and all(is_number(one) or one in NOT_FINITE for one in content["figures"].values())
         and found.method in METHODS
         and found.fault in FAULTS
     )
