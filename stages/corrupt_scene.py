@@ -16,8 +16,7 @@ from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.scene import SceneData, load_scene
-from stages.configs.corrupt_scene import CorruptSceneConfig
-from stages.configs.faults import FAULTS, MADE
+from stages.configs.faults import FAULTS, MADE, CorruptSceneConfig
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.corruption import capture, photos

@@ -12,11 +12,10 @@ from stages.artifacts.scene import load_scene
 from stages.artifacts.validity import sound
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.memory import available_bytes
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stages.stylization.settings import finest_cells, same_named
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor

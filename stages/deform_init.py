@@ -10,11 +10,10 @@ from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.scene import load_scene, spread
 from stages.artifacts.validity import sound
 from stages.configs.deform import DeformConfig
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField

@@ -8,10 +8,10 @@ from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit_views import save_edit_views
+from stages.artifacts.edit import save_edit_views
 from stages.artifacts.field import load_field
+from stages.artifacts.photos import load_pictures
 from stages.artifacts.region import load_region
-from stages.artifacts.view_images import load_pictures
 from stages.configs.extract import ExtractConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context

@@ -11,17 +11,15 @@ import torch
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit import Edit, save_edit
-from stages.artifacts.edit_views import load_edit_views
+from stages.artifacts.edit import Edit, load_edit_views, save_edit
 from stages.artifacts.style_images import read_painting
 from stages.artifacts.validity import sound
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stages.weights.resolve import digests_of_files, resolve
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_losses import EditWeights

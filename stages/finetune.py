@@ -15,11 +15,10 @@ from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
 from stages.artifacts.validity import sound
 from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stylerf.fields.packed_surface import PackedSurface, pixel_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor

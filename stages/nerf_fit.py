@@ -8,17 +8,15 @@ from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
-from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
-from stages.artifacts.scene_space import space_of
+from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
 from stages.artifacts.validity import sound
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine

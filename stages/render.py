@@ -21,7 +21,7 @@ from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
 from stages.artifacts.field import load_field
-from stages.artifacts.region_masks import CHANNEL, channels_of, regions_among
+from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of

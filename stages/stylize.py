@@ -10,20 +10,18 @@ from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
 from stages.artifacts.photos import level_of, photo_for
-from stages.artifacts.references import chosen_view, decoded_reference, digest_of, read_references
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
-from stages.artifacts.style_images import read_painting
+from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_painting, read_references
 from stages.artifacts.validity import sound
 from stages.configs.fit import budget_of
 from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import load_checkpoint, run_training
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,

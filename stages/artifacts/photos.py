@@ -1,15 +1,19 @@
-"""A scene's photos for training: in memory if they fit, otherwise memory-mapped from an unnamed file."""
+"""A scene's photos for training and editing, in memory if they fit, otherwise memory-mapped from an unnamed file."""
 
 import mmap
 import os
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic_write import TEMPORARY_SUFFIX, writing
-from stages.artifacts.scene import SceneData
+from schemas.work_folder import Artifact
+from stages.artifacts.field import load_field
+from stages.artifacts.provenance import shows_its_pictures
+from stages.artifacts.scene import SceneData, load_scene
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
@@ -107,3 +111,20 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
 def level_of(background: str) -> float:
     """Return the gray level of a background."""
     return 1.0 if background == "white" else 0.0
+
+
+def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
+    """The scene as an edit of field `of` sees it: the looks of a stylized or recolored one are in no photo."""
+    scene = load_scene(artifact, of)
+    if shows_its_pictures(of):
+        return scene
+    field, background = load_field(of)
+
+    def retaken(index: int) -> np.ndarray:
+        seen = render_view(field, scene.cameras[index], threads=chunks)
+        alpha = seen.alpha[..., None]
+        if scene.channels(index) == 4:
+            return np.concatenate([(seen.rgb / np.maximum(alpha, 1e-6)).clip(0, 1), alpha], axis=2)
+        return (seen.rgb + (1 - alpha) * np.float32(level_of(background))).clip(0, 1)
+
+    return replace(scene, retaken=retaken)

@@ -11,7 +11,7 @@ from schemas.safe_names import listed
 from schemas.work_folder import Artifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import palette_behind
-from stages.artifacts.region_masks import ROLE
+from stages.artifacts.region import ROLE
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.metrics import Metric, Row, is_number, number_in
 from stages.evaluation.region_masks import ImageMasks, RegionMasks

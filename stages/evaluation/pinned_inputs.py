@@ -8,9 +8,8 @@ from schemas.canonical_json import file_sha256
 from schemas.images import read_image
 from schemas.work_folder import Artifact
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.optical_flow import flows_digest
-from stages.evaluation.perceptual_metrics import style_file
-from stages.evaluation.perceptual_networks import available_networks
+from stages.evaluation.path_consistency import flows_digest
+from stages.evaluation.perceptual_metrics import available_networks, style_file
 from stages.evaluation.reference_metrics import references_digest
 from stages.evaluation.region_masks import masks_digest
 

@@ -17,8 +17,7 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
         ArtifactStale: none of the work folders holds a field.
     """
     from schemas.atomic_write import sweeping, write_bytes, write_json
-    from stages.comparison.cost_charts import comparison_charts
-    from stages.comparison.page import FAMILIES, build_page, rows_of
+    from stages.comparison.page import FAMILIES, build_page, comparison_charts, rows_of
     from stages.comparison.pareto_fronts import disagreements, on_fronts
     from stages.comparison.runs import CHARTED, runs_of, thread_mismatches
     from stages.evaluation.metrics import write_csv

@@ -152,7 +152,7 @@ def _regions_shown(runner: StageRunner, field: Artifact, config: RenderConfig) -
     """Return the regions to render masks of, by role; report those selected in the space of another field."""
     if not config.shows_regions:
         return {}
-    from stages.artifacts.region_masks import regions_fitting
+    from stages.artifacts.region import regions_fitting
 
     fitting, others = regions_fitting(runner.work, field)
     if others:

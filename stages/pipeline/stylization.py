@@ -29,14 +29,14 @@ def stylized(
         request: how the caller asked for the field. Its default name is <style>-<method>.
     """
     from stages import stylize
-    from stages.artifacts import references
+    from stages.artifacts import style_images
     from stages.artifacts.scene import load_scene
 
     # Refuse what cannot work before hours of prerequisites, not after them.
     config, name = _pinned(config)
     scene, more = scene_of_work(runner.work), {}
     if isinstance(config, RefNprConfig):
-        references.checked(load_scene(scene), config)
+        style_images.check_references(load_scene(scene), config)
     if region_name is None:
         field = ensure_field(runner, scene, field_name)
     else:
@@ -56,8 +56,7 @@ def stylized(
 def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     """Fill in the digests of the files that the options name, checking that they can be read; return a name too."""
     from schemas.canonical_json import file_sha256
-    from stages.artifacts.references import digest_of
-    from stages.artifacts.style_images import read_painting
+    from stages.artifacts.style_images import digest_of, read_painting
     from stages.weights.resolve import chosen
 
     pairs = [file_of(text) for text in config.references]

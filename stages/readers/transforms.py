@@ -12,7 +12,7 @@ from schemas.errors import BadInput
 from schemas.images import image_size
 from schemas.safe_names import LONGEST_NAME, LONGEST_PATH, printable
 from schemas.safe_reading import MOST_JSON, parsed, read_text
-from stages.readers import transforms_lens, transforms_splits
+from stages.readers import split_lists, transforms_lens
 from stages.readers.source import (
     SourceCamera,
     SourceScene,
@@ -23,15 +23,15 @@ from stages.readers.source import (
     natural,
     with_masks,
 )
+from stages.readers.split_lists import Splits
 from stages.readers.transforms_lens import Numbers
-from stages.readers.transforms_splits import Splits
 from stylerf.geometry.camera_conventions import ROTATION_TOLERANCE, from_mitsuba, from_opengl, with_last_row
 
 _OF_FRAMES = {"file_path", "transform_matrix", "mask_path", *transforms_lens.KEYS}
 _OF_FILES = {
     *("frames", "n_frames", "applied_transform", "applied_scale", "from_mitsuba", "normal_mts_args"),
     *transforms_lens.KEYS,
-    *transforms_splits.KEYS,
+    *split_lists.KEYS,
 }
 # Keys that only configure another program's training, or place the scene, which is placed by its cameras here.
 _NEEDLESS = {

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from schemas.safe_names import printable
 from stages.evaluation.metrics import Row, number_in
-from stages.report.formatting import escape
+from stages.report.pages import escape
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 from stylerf.environment.matplotlib_defaults import FigureCanvasAgg, MaxNLocator, rc_context
 

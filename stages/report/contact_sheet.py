@@ -8,7 +8,7 @@ import numpy as np
 from stages.evaluation.metrics import Row, is_number, number_in
 from stages.evaluation.test_views import Photo, Render
 from stages.report.evaluation_page import Pictures, SheetRow
-from stages.report.formatting import number
+from stages.report.pages import number
 from stages.report.thumbnails import ENCODINGS, Picture, depth_picture, depth_range, displayable, encode, error_picture
 
 PICTURES_BYTES = 3_500_000  # characters of data URIs: with charts and tables the page stays under 5 MB

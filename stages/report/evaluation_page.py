@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 from stages.evaluation.metrics import is_number
 from stages.report.charts import Chart
-from stages.report.formatting import clock, count, number
-from stages.report.pages import render_page
+from stages.report.pages import clock, count, number, render_page
 from stages.report.thumbnails import DEPTH_COLORS, ERROR_COLORS, MAX_ERROR, Encoded, css_gradient
 
 EDIT_TILES = ("background_mse", "background_ratio", "change_lab", "bleeding", "short_rmse")

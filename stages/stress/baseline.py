@@ -10,7 +10,7 @@ from schemas.errors import BadInput, UsageError
 from schemas.safe_reading import read_json
 from stages.configs.faults import METHODS
 from stages.evaluation.metrics import is_number
-from stages.stress.success_rates import REMEDIED, Cell
+from stages.stress.outcomes import REMEDIED, Cell
 
 SCHEMA = 1
 # Differences that another machine may cause; dB for fits, shares for the others.

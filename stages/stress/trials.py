@@ -22,17 +22,15 @@ from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, WorkFolder
 from stages import corrupt_scene, deform_init, nerf_fit, stylize
 from stages.artifacts.style_images import read_painting
-from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.configs.deform import DeformConfig
-from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
+from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, CorruptSceneConfig, Fault, Method
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import CONFIGS, StylizeConfig
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
-from stages.stress.outcomes import load_outcome, save_outcome
-from stages.stress.success_rates import REMEDIED, REMEDIED_FILE, Outcome, run_name
+from stages.stress.outcomes import REMEDIED, REMEDIED_FILE, Outcome, load_outcome, run_name, save_outcome
 from stages.stress.test_views import side_by_side, view_pairs, view_pairs_of_edit
 from stages.weights import resolve
 from stylerf.corruption import style_images

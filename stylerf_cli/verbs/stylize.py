@@ -11,7 +11,7 @@ from stages.configs.region import RegionConfig
 from stages.configs.stylize import CONFIGS as METHOD_CONFIGS
 from stages.configs.stylize import ArfConfig, refuse_foreign
 from stylerf_cli.arguments import Parser, read_toml
-from stylerf_cli.palette_table import palette_lines
+from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session
 
 NAME = "stylize"

@@ -5,7 +5,7 @@ import argparse
 import pytest
 
 from schemas.errors import ArtifactStale
-from schemas.read_limit import allowance
+from schemas.safe_reading import allowance
 from stages.run.runner import Spec
 from stylerf_cli.arguments import Parser, add_common
 from stylerf_cli.options import Options

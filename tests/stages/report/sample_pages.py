@@ -7,7 +7,7 @@ import numpy as np
 
 from schemas.images import write_png
 from stages.comparison import page as comparison_page
-from stages.comparison.cost_charts import comparison_charts
+from stages.comparison.page import comparison_charts
 from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, Gap, Run, RunMetric
 from stages.evaluation.metric_definitions import BY_KEY, DEFINITIONS
 from stages.evaluation.metrics import summarize
@@ -17,8 +17,8 @@ from stages.report.evaluation_page import Pictures, SheetRow
 from stages.report.thumbnails import Picture, encode
 from stages.stress import page as stress_page
 from stages.stress.baseline import Compared
-from stages.stress.heat_map import heat_map
-from stages.stress.success_rates import cells_of
+from stages.stress.outcomes import cells_of
+from stages.stress.page import heat_map
 from tests.stages.stress_fixture import outcome
 
 REPORT = {
