@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from schemas.atomic_write import out_of_resources
-from schemas.errors import BadInput, OutOfResources, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, OutOfResources, StylerfError
 from schemas.open_flags import NONBLOCK
 from schemas.safe_names import printable
 
@@ -111,3 +111,20 @@ def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
 def _kind(mode: int) -> str:
     kinds = {stat.S_IFIFO: "a named pipe", stat.S_IFDIR: "a folder", stat.S_IFSOCK: "a socket"}
     return kinds.get(stat.S_IFMT(mode), "a device")
+
+
+# What a constructor raises where its arguments are not what it takes; InvalidValue is a ValueError.
+UNSOUND = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
+
+
+@contextmanager
+def sound(path: Path, what: str) -> Iterator[None]:
+    """ArtifactDamaged, naming the path, where what is made of a file's numbers within refuses them.
+
+    what: is made of them, with its article.
+    """
+    try:
+        yield
+    except UNSOUND as error:
+        why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ArtifactDamaged(f"{path} does not hold {what} ({why}); rebuild it") from error

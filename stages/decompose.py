@@ -9,13 +9,12 @@ from stages.artifacts.edit import save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.scene import load_scene
-from stages.artifacts.validity import sound
 from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
 from stages.run.memory import available_bytes
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stages.stylization.settings import finest_cells, same_named
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
@@ -60,9 +59,7 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     trainer = StylizationTrainer(method)
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with compiling_note(context.progress.say):
         _train(trainer, config, partial, context)

@@ -8,12 +8,11 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field, save_deformation, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.scene import load_scene, spread
-from stages.artifacts.validity import sound
 from stages.configs.deform import DeformConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
@@ -54,9 +53,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
             fitter = DeformationFitter(field, deformation, bank, settings, *more)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
-        if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-            with sound(partial.checkpoint, "a sound checkpoint"):
-                fitter.resume(*saved)
+        if resumed(fitter, partial, context):
             context.progress.say(f"resuming at step {fitter.state.step}")
         _train(fitter, config, partial, context)
     if fitter.dropped:

@@ -13,7 +13,7 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import load_edit, load_edit_views
 from stages.artifacts.photos import load_pictures
 from stages.artifacts.scene import EARLIER, EDIT_TARGETS, SceneData, edit_targets
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec

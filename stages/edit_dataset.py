@@ -12,7 +12,7 @@ from stages.artifacts.edit import save_edit_views
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import load_pictures
 from stages.artifacts.region import load_region
-from stages.configs.extract import ExtractConfig
+from stages.configs.edit import ExtractConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec

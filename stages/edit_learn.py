@@ -13,13 +13,12 @@ from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import Edit, load_edit_views, save_edit
 from stages.artifacts.style_images import read_painting
-from stages.artifacts.validity import sound
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stages.weights.resolve import digests_of_files, resolve
 from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_losses import EditWeights
@@ -57,9 +56,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
         trainer = EditTrainer(views, module, settings, style_image, extractor, *more)
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)

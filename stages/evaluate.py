@@ -34,10 +34,9 @@ from stages.evaluation.view_metrics import (
     nonfinite_message,
 )
 from stages.report.charts import evaluation_charts
-from stages.report.contact_sheet import ContactSheet, chosen_views
+from stages.report.contact_sheet import ContactSheet, Picture, chosen_views
 from stages.report.evaluation_page import build_page
 from stages.report.notes import Inputs, not_measured, warnings_of
-from stages.report.thumbnails import Picture
 from stages.run.progress import Context
 from stages.run.runner import Spec, versions
 

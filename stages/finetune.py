@@ -12,13 +12,12 @@ from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
-from stages.artifacts.validity import sound
-from stages.configs.finetune import FinetuneConfig
+from stages.configs.edit import FinetuneConfig
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.fields.packed_surface import PackedSurface, pixel_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
@@ -66,12 +65,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
     )
     bank = bank_of(scene, train, partial.folder, context)
     tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, finetune_engine(device))
-    saved = context.processes.checkpoint(
-        load_checkpoint(partial.checkpoint, context.progress.say) if context.processes.first else None
-    )
-    if saved is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            tuner.resume(*saved)
+    if resumed(tuner, partial, context):
         context.progress.say(f"resuming at step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)

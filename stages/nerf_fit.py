@@ -9,14 +9,13 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
-from stages.artifacts.validity import sound
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine
@@ -58,10 +57,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
-    saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
-    if saved is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            fitter.resume(*saved)
+    if resumed(fitter, partial, context):
         context.progress.say(f"resuming at step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)

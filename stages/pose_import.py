@@ -59,9 +59,7 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
         if others := unreadable_beside(photos):
             kinds = sorted({one.suffix for one in others})
             how = conversion(others[0].parent, kinds[0])
-            context.progress.say(
-                f"{len(others)} more photos cannot be read ({', '.join(kinds)}); {how}"
-            )
+            context.progress.say(f"{len(others)} more photos cannot be read ({', '.join(kinds)}); {how}")
         scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,

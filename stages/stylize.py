@@ -13,7 +13,6 @@ from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_painting, read_references
-from stages.artifacts.validity import sound
 from stages.configs.fit import budget_of
 from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
@@ -21,7 +20,7 @@ from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import load_checkpoint, run_training
+from stages.run.training_loop import resumed, run_training
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,
@@ -83,9 +82,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         name = config.style or config.references[0]
         raise BadInput(f"{name} on {inputs['field'].path}: {error}") from error
     trainer = StylizationTrainer(method)
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):

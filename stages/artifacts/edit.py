@@ -9,9 +9,9 @@ from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged
 from schemas.images import to_uint8, write_png
 from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
+from schemas.safe_reading import sound
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
-from stages.artifacts.validity import sound
 from stages.configs.edit import PaletteConfig, color_of, number_of
 from stylerf import validation
 from stylerf.editing.edit_views import EditView, check_pixels

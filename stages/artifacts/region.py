@@ -9,10 +9,10 @@ import numpy as np
 
 from schemas.atomic_write import write_json
 from schemas.errors import BadInput
+from schemas.safe_reading import sound
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
-from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_grid import Region
 from stylerf.fields.radiance_field import RadianceField

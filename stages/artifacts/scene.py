@@ -11,10 +11,10 @@ from schemas.errors import ArtifactDamaged, BadInput
 from schemas.exr import read_depth
 from schemas.images import image_channels, read_image
 from schemas.manifest import MANIFEST
+from schemas.safe_reading import sound
 from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_scene
 from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, sources_of
-from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.editing.edit_views import check_pixels
 from stylerf.errors import InvalidValue

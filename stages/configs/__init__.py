@@ -38,6 +38,11 @@ def option(
     return field(default=default, metadata=metadata | {"digest": digest, "advanced": advanced, "group": group})
 
 
+def advanced(default: Any, group: str = "", **others: Any) -> Any:
+    """Declare an option, as `option` does, that only `--help-all` lists, under the heading `group`."""
+    return option(default, advanced=True, group=group, **others)
+
+
 def options_of(config: Any) -> "list[Field[Any]]":
     """Return the fields of a config class or object that are options."""
     return [item for item in fields(config) if "help" in item.metadata]

@@ -6,13 +6,16 @@ from typing import Any
 
 from schemas.errors import UsageError
 from schemas.work_folder import Artifact, WorkFolder
-from stages.configs.distill import DistillConfig
-from stages.configs.edit import EditConfig, PaletteConfig
-from stages.configs.extract import ExtractConfig
-from stages.configs.finetune import FinetuneConfig
-from stages.configs.region import RegionConfig
+from stages.configs.edit import (
+    DistillConfig,
+    EditConfig,
+    ExtractConfig,
+    FinetuneConfig,
+    PaletteConfig,
+    RegionConfig,
+    WholeEditConfig,
+)
 from stages.configs.select import SelectConfig
-from stages.configs.whole_edit import WholeEditConfig
 from stages.pipeline.prerequisites import ensure_field, field_named, input_of, pictures_of, scene_of_work
 from stages.pipeline.stage_runner import Request, StageRunner
 from stages.pipeline.style_files import name_of, style_file

@@ -21,18 +21,14 @@ from schemas.work_folder import Artifact, WorkFolder
 from stages.configs.decompose import PaletteFieldConfig
 from stages.configs.deform import DeformConfig
 from stages.configs.demo import DemoConfig
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig, ExtractConfig, FinetuneConfig, RegionConfig, WholeEditConfig
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.extract import ExtractConfig
-from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import FitConfig
 from stages.configs.pose_import import ImportOptions
-from stages.configs.region import RegionConfig
 from stages.configs.render import RenderConfig, label_of
 from stages.configs.select import SelectConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
-from stages.configs.whole_edit import WholeEditConfig
 from stages.pipeline import evaluation, importing, local_edit, prerequisites, stylization
 from stages.pipeline.demo import Demo, run_demo
 from stages.pipeline.resources import claim, usable_threads

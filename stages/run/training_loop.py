@@ -13,7 +13,7 @@ import numpy as np
 from schemas.atomic_write import sync_folder
 from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, BadInput
-from schemas.safe_reading import parsed
+from schemas.safe_reading import parsed, sound
 from schemas.tensors import load_tensors, save_tensors_with_digest
 from schemas.work_folder import PartialArtifact
 from stages.run.progress import Context
@@ -69,6 +69,28 @@ def _kept(folder: Path) -> list[tuple[int, str, Path]]:
 
 Step = TypeVar("Step")
 Step_co = TypeVar("Step_co", covariant=True)
+
+
+class Resumable(Protocol):
+    """A trainer that can start from a checkpoint."""
+
+    def resume(self, data: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        """Take over state and arrays."""
+
+
+def resumed(trainer: Resumable, partial: PartialArtifact, context: Context) -> bool:
+    """Resume from the newest undamaged checkpoint, in every process; return whether there was one.
+
+    Raises:
+        ArtifactDamaged: the checkpoint is none of this trainer.
+    """
+    processes = context.processes
+    saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
+    if saved is None:
+        return False
+    with sound(partial.checkpoint, "a sound checkpoint"):
+        trainer.resume(*saved)
+    return True
 
 
 class Trainer(Protocol[Step_co]):

@@ -11,11 +11,8 @@ from schemas.canonical_json import digest_of
 from schemas.work_folder import Artifact
 from stages import decompose, distill, edit_dataset, edit_learn, edit_palette, finetune, recolor, region_select
 from stages.configs.decompose import DecomposeConfig, RecolorConfig
-from stages.configs.distill import DistillConfig
-from stages.configs.edit import EditConfig, PaletteConfig
-from stages.configs.extract import ExtractConfig
+from stages.configs.edit import DistillConfig, EditConfig, ExtractConfig, FinetuneConfig, PaletteConfig
 from stages.configs.faults import Fault, Method
-from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
 from stages.configs.stress import Conditions

@@ -8,14 +8,7 @@ import numpy as np
 import torch
 
 from stages.configs.fit import budget_of
-from stages.configs.stylize import (
-    COLOR_CELLS,
-    ArfConfig,
-    DesrfConfig,
-    RefNprConfig,
-    SnerfConfig,
-    StylizeConfig,
-)
+from stages.configs.stylize import COLOR_CELLS, ArfConfig, DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stylerf.fields.hash_color import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 

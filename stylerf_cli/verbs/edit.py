@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from stages.configs.whole_edit import WholeEditConfig
+from stages.configs.edit import WholeEditConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session

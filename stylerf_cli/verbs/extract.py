@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from stages.configs.extract import ExtractConfig
+from stages.configs.edit import ExtractConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 

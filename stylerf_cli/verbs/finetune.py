@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from stages.configs.finetune import FinetuneConfig
+from stages.configs.edit import FinetuneConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from schemas.errors import UsageError
 from stages.configs.decompose import METHOD, PaletteFieldConfig
-from stages.configs.region import RegionConfig
+from stages.configs.edit import RegionConfig
 from stages.configs.stylize import CONFIGS as METHOD_CONFIGS
 from stages.configs.stylize import ArfConfig, refuse_foreign
 from stylerf_cli.arguments import Parser, read_toml

@@ -24,7 +24,7 @@ from stages.artifacts.region import load_region, regions_among, save_region
 from stages.artifacts.report import read_report
 from stages.artifacts.scene import EDIT_TARGETS, load_scene, space_of
 from stages.comparison.runs import runs_of
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stages.distill import _edited
 from stages.evaluation.test_views import FrameViews
 from stages.finetune import edited_pixels

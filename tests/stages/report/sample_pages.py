@@ -13,8 +13,7 @@ from stages.evaluation.metric_definitions import BY_KEY, DEFINITIONS
 from stages.evaluation.metrics import summarize
 from stages.report import evaluation_page
 from stages.report.charts import bar_chart, curve_chart, pairs_chart
-from stages.report.evaluation_page import Pictures, SheetRow
-from stages.report.thumbnails import Picture, encode
+from stages.report.contact_sheet import Picture, Pictures, SheetRow, encode
 from stages.stress import page as stress_page
 from stages.stress.baseline import Compared
 from stages.stress.outcomes import cells_of
