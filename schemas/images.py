@@ -291,7 +291,6 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
     """Write a PNG atomically; equal pixels give equal bytes.
 
     Args:
-        path: The file to replace.
         array: uint8 or uint16 [height, width] or [height, width, 1, 3 or 4], straight alpha.
 
     Raises:

@@ -20,9 +20,7 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
     Symbolic links are not checked here; see schemas.artifact.
 
     Args:
-        text: The path.
         what: Names the path in messages.
-        fault: The class of the error.
 
     Raises:
         fault: The path is absolute, too long for file systems, or holds `.`, `..`, empty parts, control or

@@ -11,7 +11,7 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import save_edit_views
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import load_pictures
-from stages.artifacts.region import load_region
+from stages.artifacts.region import region_of_field
 from stages.configs.edit import ExtractConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
@@ -34,13 +34,8 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
     threads = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], threads)
     field, _ = load_field(inputs["field"])
-    region, space = load_region(inputs["region"])
-    if space != field.space:
-        raise BadInput(
-            f"region {inputs['region'].name} was selected on a different field than {inputs['field'].name}; "
-            f"select it again with `stylerf select --of {inputs['field'].name}`"
-        )
-    size = _size(region, space)
+    region = region_of_field(inputs["region"], inputs["field"], field)
+    size = _size(region, field.space)
     reach = FADING * size if config.transition < 0 else config.transition
     settings = Extraction(config.tolerance, reach)
     train = scene.splits["train"]

@@ -13,14 +13,13 @@ from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_painting, read_references
-from stages.configs.fit import budget_of
 from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import resumed, run_training
+from stages.run.training_loop import resumed
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,
@@ -29,6 +28,7 @@ from stages.stylization.settings import (
     region_color,
     settings_of,
 )
+from stages.stylization.training import train
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
@@ -57,7 +57,6 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
 SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
-PHASE_LABELS = {"refit": "new colors"}
 
 
 def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -86,7 +85,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):
-            _train(trainer, config, partial, context)
+            train(trainer, "the stylization", config, partial, context, {"refit": "new colors"})
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     stylized, state = trainer.scene.field, trainer.state
@@ -213,22 +212,3 @@ def _memory_for_views(scene: SceneData, views: list[int], context: Context) -> f
             "left: views that do not fit are recomputed at each use"
         )
     return left
-
-
-def _train(trainer: StylizationTrainer, config: StylizeConfig, partial: PartialArtifact, context: Context) -> None:
-    shown = ""
-
-    def report(now: StylizationTrainer) -> None:
-        nonlocal shown
-        state, total = now.state, now.scene.budget.steps
-        if state.phase != shown:
-            shown = state.phase
-            seconds, _ = budget_of(config.budget)
-            context.progress.start(PHASE_LABELS.get(shown, shown), total or seconds, "step" if total else "s")
-        note = ""
-        if state.curve:
-            last = state.curve[-1]
-            note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
-        context.progress.update(state.step if total else min(state.seconds, now.settings.seconds), note)
-
-    run_training(trainer, "the stylization", config.checkpoint_every_seconds, partial, context, report)

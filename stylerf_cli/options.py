@@ -42,8 +42,6 @@ class Options:
         """Read the file.
 
         Args:
-            verb: the verb that is run.
-            given: its flags.
             verbs: all verbs, which may have tables.
             others: configs of the verb's other uses, whose keys its table may hold too.
         """

@@ -13,8 +13,15 @@ from stylerf_cli.output import write_lines
 from stylerf_cli.progress import Bars
 
 if TYPE_CHECKING:  # every verb imports this module, and `--help` must not wait for numpy
+    from schemas.work_folder import Artifact
     from stages.pipeline.pipeline import Pipeline
     from stages.run.progress import Progress
+
+
+def made(kind: str, artifact: "Artifact") -> dict[str, Any]:
+    """Return what verbs that make an artifact of this kind report of it."""
+    manifest = artifact.manifest
+    return {kind: artifact.path, "name": artifact.name, "figures": manifest.figures, "seconds": manifest.seconds}
 
 
 class Session:

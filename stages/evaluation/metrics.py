@@ -10,21 +10,15 @@ from typing import TypeGuard
 
 from schemas.atomic_write import replacing
 from schemas.safe_names import printable
-from stages.evaluation.metric_definitions import DEFINITIONS
+from stages.evaluation.metric_definitions import DEFINITIONS, MetricDefinition
 
 Row = dict[str, object]  # a view or a pair of views: its name, and values by metric key; None if not measured
 
 
 @dataclass(frozen=True)
-class Metric:
+class Metric(MetricDefinition):
     """A metric over views or pairs: mean, spread, how many have it and how many had to be left out."""
 
-    key: str
-    label: str
-    unit: str
-    better: str
-    digits: int
-    protocol: str
     mean: float
     median: float
     min: float
@@ -63,15 +57,10 @@ def summarize(
             continue
         middle = len(values) // 2
         median = values[middle] if len(values) % 2 else (values[middle - 1] + values[middle]) / 2
-        filled = _Facts(facts)
         found.append(
             Metric(
-                key=definition.key,
-                label=definition.label.format_map(filled),
-                unit=definition.unit,
-                better=definition.better,
-                digits=definition.digits,
-                protocol=definition.protocol.format_map(filled),
+                **vars(definition)
+                | {name: getattr(definition, name).format_map(_Facts(facts)) for name in ("label", "protocol")},
                 mean=math.fsum(values) / len(values),
                 median=median,
                 min=values[0],

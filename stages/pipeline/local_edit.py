@@ -87,8 +87,6 @@ def edit_dataset(
     """Render what the views show of a region; the dataset is named as the region.
 
     Args:
-        runner: runs the stage.
-        region: the region.
         field: the field to render, by default the one the region was selected in.
         config: options, by default those set for `extract`.
         request: None if the dataset is a prerequisite.
@@ -141,10 +139,7 @@ def finetuned(
     """Train a field on an edit; the result is named as the edit.
 
     Args:
-        runner: runs the stage.
-        edit: the edit.
         field: the field to start from, by default the one the edit was extracted from.
-        config: options.
         request: how the caller asked for the field.
         scene: the photos with the edit, made if None.
 
@@ -193,14 +188,11 @@ def learned_edit(
     With changes, the learned edit is kept under its own name, <name>-learned if `changed` replaces it.
 
     Args:
-        runner: runs the stages.
-        region: the region.
         config: how the look is learned; holds the digests of its files.
         changes: changes of the palette.
         name: default name of the learned edit.
         changed: default name of the edit with changes.
         request: how the caller asked for the edit.
-        dataset: the edit dataset, made if None.
     """
     from stages import edit_learn, edit_palette
     from stages.run.runner import announce_replacement, recipe_of
@@ -252,10 +244,8 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     """Run a whole local edit; every artifact of it is called `name`.
 
     Args:
-        runner: runs the stages.
         config: what is selected and what becomes of it.
         field_name: the field to edit, by default the current fit of the scene.
-        name: of the artifacts.
         force: rebuild what is up to date.
     """
     from stages.region_select import masks_of

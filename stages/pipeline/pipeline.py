@@ -248,7 +248,6 @@ class Pipeline:
 
         Args:
             config: options of the metrics.
-            of: the field.
             path: camera path of the consistency metrics; by default that of the newest video.
             regions: regions of a local edit, which is compared with the field before it.
             base: the field before the edit; by default the one it started from.

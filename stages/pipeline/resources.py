@@ -29,7 +29,6 @@ def resolved_device(requested: str, say: Callable[[str], None] = lambda text: No
     """Resolve `auto`, `cpu` or `cuda` to the device to compute on, `cpu` or `cuda`.
 
     Args:
-        requested: the device to resolve.
         say: receives one line if `auto` finds GPUs, but fewer than there are processes here.
 
     Raises:

@@ -22,7 +22,6 @@ def stylized(
     """Stylize a scene, or one region of it.
 
     Args:
-        runner: runs the stages.
         config: options; digests are filled in here.
         field_name: the field to stylize, by default the current fit (of a region: the field it was selected in).
         region_name: the region, the only one if empty; None for the whole scene.
@@ -78,7 +77,6 @@ def region_styled(
     """Learn the look of a region (LAENeRF): a palette to recolor with, or a style image.
 
     Args:
-        runner: runs the stages.
         config: options; digests are filled in here.
         field_name: empty, or the field that the region was selected in; any other is refused.
         region_name: the region, the only one if empty.

@@ -118,7 +118,6 @@ def run_training(
     """Train to the end.
 
     Args:
-        trainer: what is trained.
         what: its name in errors.
         every: seconds between checkpoints.
         partial: the artifact in progress, which keeps the checkpoints.

@@ -87,9 +87,6 @@ class Stress:
         """Find the features that methods need.
 
         Args:
-            context: seed, device, threads and progress.
-            config: options.
-            source: the scene to corrupt.
             root: WORK/stress.
 
         Raises:

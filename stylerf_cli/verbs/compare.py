@@ -9,8 +9,6 @@ from stylerf_cli.arguments import Parser
 from stylerf_cli.path_arguments import work_or_artifact
 from stylerf_cli.session import Session
 
-NAME = "compare"
-HELP = "compare fits, stylizations and edits: quality against cost"
 CONFIG = None
 NAMELESS = "a comparison is not an artifact"
 FOLDER = "comparison"

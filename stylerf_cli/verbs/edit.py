@@ -7,8 +7,6 @@ from stylerf_cli.arguments import Parser
 from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session
 
-NAME = "edit"
-HELP = "select a region, recolor or stylize it, and train the field, in one command"
 CONFIG = WholeEditConfig
 
 

@@ -15,7 +15,6 @@ from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session
 
 NAME = "stylize"
-HELP = "stylize a scene or a region, or change its palette"
 CONFIG = ArfConfig
 CONFIGS = (*METHOD_CONFIGS.values(), RegionConfig, PaletteFieldConfig)
 WITHIN = "refnpr"  # the only method for whole scenes that also stylizes a region; the default there is LAENeRF
