@@ -8,20 +8,24 @@ renders were the references). For a local edit also `unedited_frames` and `base_
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
+from schemas.canonical_json import file_sha256
+from schemas.images import read_image
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import fields_behind, is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.metrics import Metric, Row, is_number, summarize, write_csv
-from stages.evaluation.path_consistency import PathConsistency
-from stages.evaluation.perceptual_metrics import PerceptualMetrics
-from stages.evaluation.pinned_inputs import digests_of_files
-from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness
+from stages.evaluation.path_consistency import PathConsistency, flows_digest
+from stages.evaluation.perceptual_metrics import PerceptualMetrics, available_networks, style_file
+from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness, references_digest
+from stages.evaluation.region_masks import masks_digest
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import (
     ViewRow,
@@ -39,6 +43,32 @@ from stages.report.evaluation_page import build_page
 from stages.report.notes import Inputs, not_measured, warnings_of
 from stages.run.progress import Context
 from stages.run.runner import Spec, versions
+
+
+def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateConfig:
+    """Add the digests of the files it names and of the available networks, so that a change of them is noticed.
+
+    field: may name a style image too. Raises BadInput if a file is missing, or an image cannot be read.
+    """
+    style = style_file(config, None)
+    if style is not None:
+        read_image(style)
+    styled = style_file(config, field) is not None
+    networks = available_networks(config.perceptual != "none", styled, config.features)
+    digests: dict[str, Any] = digests_of_files(config)
+    return replace(config, **digests, networks=networks)
+
+
+def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
+    """Current digests of the files that options name; empty for options that name none."""
+    style = style_file(config, None)
+    return {
+        "style_digest": "" if style is None else file_sha256(style),
+        "masks_digest": masks_digest(Path(config.masks).expanduser()) if config.masks else "",
+        "flow_digest": flows_digest(Path(config.flow).expanduser()) if config.flow else "",
+        "reference_digest": references_digest(config.reference) if config.reference else "",
+    }
+
 
 SPEC = Spec(stage="evaluate", verb="eval", revision=6, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")

@@ -1,13 +1,30 @@
-"""The HTML page of a comparison with its charts of metrics against cost, and its rows for CSV."""
+"""The HTML page of a comparison with its charts of metrics against cost, its rows for CSV, and its JSON."""
 
+import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
 
-from stages.comparison.pareto_fronts import Panel, panel_of, protocols_of
-from stages.comparison.runs import CHARTED, COSTS, EDITS, FITS, STYLIZATIONS, Gap, Protocol, Run, RunMetric
+from schemas.atomic_write import sweeping, write_bytes, write_json
+from schemas.errors import ArtifactStale
+from schemas.work_folder import WorkFolder
+from stages.comparison.pareto_fronts import Panel, disagreements, on_fronts, panel_of, protocols_of
+from stages.comparison.runs import (
+    CHARTED,
+    COSTS,
+    EDITS,
+    FITS,
+    STYLIZATIONS,
+    Gap,
+    Protocol,
+    Run,
+    RunMetric,
+    runs_of,
+    thread_mismatches,
+)
 from stages.evaluation.metric_definitions import BY_KEY
-from stages.evaluation.metrics import Row
+from stages.evaluation.metrics import Row, write_csv
 from stages.report.charts import INK, SETTINGS, Chart, finish
 from stages.report.pages import count, number, render_page
 from stylerf.environment.matplotlib_defaults import Axes, Line2D, LogFormatter, rc_context, to_hex, to_rgb
@@ -208,3 +225,37 @@ def _mark(metric: RunMetric, protocols: Sequence[Protocol]) -> tuple[str, str]:
 
 def _better(better: str) -> str:
     return f" ({better} is better)" if better else ""
+
+
+def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
+    """Write compare.json, runs.csv, compare.html and charts/ to `out`; return what compare.json holds.
+
+    Raises:
+        ArtifactStale: none of the work folders holds a field.
+    """
+
+    with sweeping((out, out / "charts")):
+        runs, gaps = runs_of(works)
+        if not runs:
+            command = shlex.join(["stylerf", "fit", str(works[0].root)])
+            raise ArtifactStale(f"no field to compare in {works[0].root}; make one with: {command}")
+        fronts: dict[str, list[str]] = {}
+        for family in FAMILIES:
+            members = [one for one in runs if one.family == family]
+            gaps += thread_mismatches(members)
+            gaps += disagreements(members, list(CHARTED[family]))
+            fronts |= on_fronts(members, list(CHARTED[family]))
+        charts = comparison_charts(runs)
+        for chart in charts:
+            write_bytes(out / "charts" / f"{chart.name}.svg", chart.svg.encode())
+            write_bytes(out / "charts" / f"{chart.name}.png", chart.png)
+        write_csv(out / "runs.csv", rows_of(runs, fronts))
+        write_bytes(out / "compare.html", build_page(runs, charts, gaps, fronts).encode())
+        content = {
+            "works": [work.root for work in works],
+            "runs": [asdict(one) | {"fronts": fronts[one.title]} for one in runs],
+            "missing": [asdict(gap) for gap in gaps],
+            "charts": [f"charts/{chart.name}.svg" for chart in charts],
+        }
+        write_json(out / "compare.json", content)
+    return content

@@ -37,7 +37,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     from stages.configs.fit import FitConfig
     from stages.configs.stylize import CONFIGS
     from stages.pipeline import demo_scene
-    from stages.pipeline.importing import import_config
+    from stages.pipeline.prerequisites import import_config
     from stages.weights.resolve import chosen
 
     request = Request(force=force)

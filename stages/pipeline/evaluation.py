@@ -38,7 +38,7 @@ def evaluated(
     """
     from stages import evaluate
     from stages.artifacts.provenance import field_unstylized, is_stylized
-    from stages.evaluation.pinned_inputs import pinned
+    from stages.evaluate import pinned
     from stages.evaluation.reference_metrics import check_references
     from stages.evaluation.test_views import SceneViews
 

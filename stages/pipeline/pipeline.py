@@ -29,7 +29,7 @@ from stages.configs.render import RenderConfig, label_of
 from stages.configs.select import SelectConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
-from stages.pipeline import evaluation, importing, local_edit, prerequisites, stylization
+from stages.pipeline import evaluation, local_edit, prerequisites, stylization
 from stages.pipeline.demo import Demo, run_demo
 from stages.pipeline.resources import claim, usable_threads
 from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageOptions, StageRunner
@@ -124,7 +124,7 @@ class Pipeline:
         self, source: Path | str, options: ImportOptions | None = None, *, name: str = "", force: bool = False
     ) -> Artifact:
         """Import a folder of photos, with their poses or without; return the scene."""
-        return importing.imported(self._runner, Path(source), options or ImportOptions(), Request(name, force))
+        return prerequisites.imported(self._runner, Path(source), options or ImportOptions(), Request(name, force))
 
     def fit(self, config: FitConfig | None = None, *, name: str = "", force: bool = False) -> Artifact:
         """Fit a radiance field to the scene; return the field. `config.buffers` takes a call of render_views."""

@@ -22,7 +22,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return what compare.json holds, with the paths of page and table."""
-    from stages.pipeline.comparison import compared
+    from stages.comparison.page import compared
 
     paths: dict[Path, Path] = {}
     for path in args.works:
