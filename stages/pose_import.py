@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
@@ -16,10 +17,10 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import ImportConfig
 from stages.readers import found_in, read_source
 from stages.readers.background import Background
-from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
-from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks
+from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
+from stages.readers.transforms import lists_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.sfm.reconstruction import reconstructed
@@ -28,6 +29,41 @@ from stylerf.geometry import scene_normalization
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.resampling import nearest
 from stylerf.geometry.silhouette_bounds import hull_box
+
+
+def digest_of_source(source: Path, format: str = "auto", images: str = "") -> str:
+    """SHA-256 of the files with poses and of every photo, its mask and its known depth, each by its name in the source.
+    Other files do not count. BadInput if the source cannot be read.
+    """
+    kind = found_in(source, format).kind
+    if kind == "photos":
+        photos = photos_of(source, images)
+        plain = [SourceCamera(one.stem, path_in_source(one, source), one, np.eye(4)) for one in photos]
+        cameras = with_masks(plain, source)
+        others = [one.name for one in unreadable_beside(photos)]
+        return digest_of([kind, others, [_entry(one) for one in cameras]])
+    scene = read_source(source, format, images)
+    poses = [[path.name, _content(path)] for path in scene.files or _files_of_poses(source, kind)]
+    return digest_of([kind, poses, [_entry(one) for one in scene.cameras]])
+
+
+def _files_of_poses(source: Path, kind: str) -> list[Path]:
+    if kind == "transforms":
+        return [path for path, _ in lists_of(source)]
+    return [source if source.is_file() else source / "poses_bounds.npy"]
+
+
+def _entry(camera: SourceCamera) -> list:
+    files = [camera.image, camera.mask, camera.depth, *filter(None, [camera.hides])]
+    return [camera.source, *(one and _content(one) for one in files)]
+
+
+def _content(path: Path) -> str:
+    try:
+        return file_sha256(path)
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}); restore it or its permissions") from error
+
 
 SPEC = Spec(
     stage="pose_import", verb="import", revision=6, writes="scene",

@@ -135,8 +135,7 @@ def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
 
 def _run_verb(verb: str, module: ModuleType, args: Namespace, config: type | None) -> dict[str, Any]:
     # Imported late: --help and usage errors need neither.
-    from stylerf_cli.options import Options
-    from stylerf_cli.session import Session
+    from stylerf_cli.session import Options, Session
 
     if args.name is not None and hasattr(module, "NAMELESS"):
         raise UsageError(f"--name: {module.NAMELESS}; leave it out")

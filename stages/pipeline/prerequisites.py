@@ -185,7 +185,7 @@ def imported(runner: StageRunner, source: Path, options: ImportOptions, request:
 
 def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
     """Return the options of an import with its source and the digest of its files, so that changes are noticed."""
-    from stages.readers.digest import digest_of_source
+    from stages.pose_import import digest_of_source
 
     source = source.resolve()
     digest = digest_of_source(source, options.format, options.images)
