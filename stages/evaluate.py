@@ -7,7 +7,7 @@ renders were the references). For a local edit also `unedited_frames` and `base_
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +78,8 @@ def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArt
     """Write report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; return the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
-    task.measure_path()
+    if task.path is not None:
+        task.path.measure(context.progress)
     report, metrics = task.report()
     charts = evaluation_charts(
         task.stylized, task.rows, task.pairs, report["curve"], config.gap, task.perceptual.style_label
@@ -149,8 +150,8 @@ class Evaluation:
             if self.stylized:
                 self._measure_stylized(row, render, photo)
                 self._measure_by_reference(row, done - 1, render)
-            else:
-                self._measure_fitted(row, render, photo)
+            elif photo is not None:
+                measure_fit(row, render, photo, self.perceptual.scores(render.alpha.shape))
             if self.edit is not None:
                 self.edit.measure(row, render, photo)
             if previous is not None:
@@ -171,10 +172,6 @@ class Evaluation:
         self.resized += photo.resized
         self.depth_sizes_differ |= photo.depth_size_differs
         return photo
-
-    def _measure_fitted(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
-        if photo is not None:
-            measure_fit(row, render, photo, self.perceptual.scores(render.alpha.shape))
 
     def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
@@ -212,11 +209,6 @@ class Evaluation:
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
         return None if self.base is None else self.base.same_view(render)
-
-    def measure_path(self) -> None:
-        """Measure the consistency of frames 1 and `gap` apart into `pairs`."""
-        if self.path is not None:
-            self.path.measure(self.context.progress)
 
     def facts(self) -> dict:
         """What fills in labels and protocols."""
@@ -257,12 +249,12 @@ class Evaluation:
             "style_image": self.perceptual.style_name,
             "view_count": len(self.rows),
             "resolution": " and ".join(f"{width}x{height}" for width, height in sorted(self._sizes)),
-            "metrics": [metric.as_json() for metric in metrics],
+            "metrics": [asdict(metric) for metric in metrics],
             "views": self.rows,
             "pairs": self.pairs,
             "edit": self.edit.as_json() if self.edit else None,
             "training_views": self.training_rows,
-            "stages": [made.as_json() for made in stages],
+            "stages": [asdict(made) for made in stages],
             "curve": training_curve(self.field),
             "warnings": [
                 *warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),

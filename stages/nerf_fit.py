@@ -123,15 +123,13 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
 
     def tell(now: Fitter) -> None:
         if now.state.step % 10 == 0:
-            note = _quality(now.state.curve[-1]) if now.state.curve else ""
+            last, note = now.state.curve[-1] if now.state.curve else {}, ""
+            if last:
+                note = f"{last['psnr']:.1f} dB {'held out' if last['held_out'] else 'on training views'}"
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
     run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
-
-
-def _quality(point: dict) -> str:
-    return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:

@@ -153,8 +153,9 @@ def _focus_depth(scene: SceneData) -> float:
 
 
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
-    name = camera.name
-    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+    name, pose = camera.name, as_matrix(camera.world_from_camera)
+    entry = FrameCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, pose)
+    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", entry, view)
 
 
 def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
@@ -220,12 +221,6 @@ def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes:
         far=bounds.far,
         masks={channels[name]: mask for name, mask in rendered.masks.items()},
         attributes=dict(attributes),
-    )
-
-
-def _camera_entry(camera: Camera) -> FrameCamera:
-    return FrameCamera(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, as_matrix(camera.world_from_camera)
     )
 
 

@@ -4,7 +4,7 @@ import csv
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeGuard
 
@@ -26,10 +26,6 @@ class Metric(MetricDefinition):
     count: int
     left_out: int
     reference: dict[str, float]  # the same metric of something to compare with, such as the unstylized renders
-
-    def as_json(self) -> dict:
-        """Plain numbers and text."""
-        return asdict(self)
 
 
 class _Facts(dict):

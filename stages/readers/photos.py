@@ -151,16 +151,12 @@ def _brightest(pixels: np.ndarray) -> float:
     return max(float((row[..., :3] * row[..., 3:]).max()) for row in pixels)
 
 
-def _rgb(pixels: np.ndarray) -> np.ndarray:
-    return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
-
-
 def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:
     """The photo [h, w, 1, 3 or 4] as [h, w, 3 or 4]: what the mask does not keep, or `hides` hides, is transparent.
 
     BadInput for a mask of another shape.
     """
-    pixels = _rgb(pixels)
+    pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
     kept = [pixels[..., 3]] if pixels.shape[2] == 4 else []
     if mask:
         kept.append(_fitted(coverage(read_image(mask, upright).pixels), mask, pixels))

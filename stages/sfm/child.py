@@ -9,7 +9,7 @@ import os
 import shutil
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from schemas.atomic_write import sync_file, write_json
@@ -78,7 +78,7 @@ def run(job: Job, progress: JobProgress) -> None:
     names = sorted(f"{MODEL}/{path.name}" for path in (folder / MODEL).iterdir())
     for name in names:
         sync_file(folder / name)
-    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict(), "model": names})
+    write_json(folder / RESULT, {"copies": every, "figures": asdict(found), "model": names})
     journal_of(folder).add([RESULT, *names])
 
 

@@ -1,6 +1,6 @@
 """Whether a reconstruction is plausible. COLMAP returns without complaint whatever the result, so it is judged here."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -138,10 +138,6 @@ class Quality:
     def folded(self) -> bool:
         """Whether photos that have nothing in common were placed at one another's side."""
         return self.silent_share > FOLDED_SHARE and self.silent_share * self.pairs_expected > FOLDED_PAIRS - 0.5
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return asdict(self)
 
 
 def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndarray], refined: bool) -> Quality:

@@ -1,11 +1,11 @@
 """Trained weights, resolved to tensors: feature trunks for stylizing, networks of perceptual metrics.
 
-Nothing is fetched over the network. What is found (stages.weight_sources) is brought to one canonical
-form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
+Nothing is fetched over the network. What is found (stages.weights.sources) is brought to one canonical
+form (stages.weights.formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
 that two files with the same numbers are the same weights.
 
 Environment: STYLERF_CACHE (cache folder; else $XDG_CACHE_HOME/stylerf, else ~/.cache/stylerf), STYLERF_WEIGHTS (a
-folder with weights of the user's own, see stages.weight_sources).
+folder with weights of the user's own, see stages.weights.sources).
 """
 
 import hashlib

@@ -1,6 +1,7 @@
 """One page each of eval, compare and stress, with everything that can be on it, made without computing anything."""
 
 import copy
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def report_with_all_metrics() -> dict:
     values = {metric.key: 0.123456 + i for i, metric in enumerate(DEFINITIONS)}
     facts = {"gap": 7, "style_label": "the style image"}
     metrics = summarize([{"name": "a", **values}, {"name": "b", **values}], facts, {"nnfm": {"the photos": 9.5}})
-    report["metrics"] = [metric.as_json() for metric in metrics]
+    report["metrics"] = [asdict(metric) for metric in metrics]
     return report
 
 
