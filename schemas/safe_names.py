@@ -1,8 +1,9 @@
-"""Checks of names and paths from untrusted files, before anything is opened, written or displayed by them."""
+"""Checks of names and paths from untrusted files before anything is opened or written, and text fit for display."""
 
 import os
 import re
 import unicodedata
+from typing import Any
 
 from schemas.errors import ArtifactDamaged, StylerfError
 
@@ -76,3 +77,10 @@ def _hidden(letter: str) -> bool:
 
 def _escaped(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
+
+
+def flags(flag: str, value: Any) -> list[str]:
+    """Return the words that set an option, such as --steps 30, --no-masks or --layers a b."""
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag[2:]}"]
+    return [flag, *map(str, value if isinstance(value, list | tuple) else [value])]

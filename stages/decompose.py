@@ -14,8 +14,7 @@ from stages.run.memory import available_bytes
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import resumed
-from stages.stylization.settings import finest_cells, same_named
-from stages.stylization.training import train
+from stages.stylization.settings import finest_cells, same_named, train
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads

@@ -27,8 +27,8 @@ from stages.stylization.settings import (
     reference_layers,
     region_color,
     settings_of,
+    train,
 )
-from stages.stylization.training import train
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue

@@ -3,7 +3,7 @@
 from dataclasses import MISSING, Field, field, fields
 from typing import Any
 
-from schemas.flag_text import flags
+from schemas.safe_names import flags
 
 
 def option(

@@ -16,9 +16,16 @@ from stages.configs.edit import (
     WholeEditConfig,
 )
 from stages.configs.select import SelectConfig
-from stages.pipeline.prerequisites import ensure_field, field_named, input_of, pictures_of, scene_of_work
+from stages.pipeline.prerequisites import (
+    ensure_field,
+    field_named,
+    input_of,
+    name_of,
+    pictures_of,
+    scene_of_work,
+    style_file,
+)
 from stages.pipeline.stage_runner import Request, StageRunner
-from stages.pipeline.style_files import name_of, style_file
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
-"""What must exist before a stage runs: the scene, a field, a deformation, frames."""
+"""What must exist before a stage runs: the scene, a style image, a field, a deformation, frames."""
 
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from schemas.errors import ArtifactStale, UsageError
+from schemas.canonical_json import file_sha256
+from schemas.errors import ArtifactStale, BadInput, UsageError
 from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
@@ -190,3 +192,24 @@ def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportCon
     source = source.resolve()
     digest = digest_of_source(source, options.format, options.images)
     return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
+
+
+LONGEST_NAME = 60  # names of artifacts made with a style image append to its name
+
+
+def style_file(text: str) -> Path:
+    """Return the path of the style image; BadInput if there is no such file."""
+    if not Path(text).is_file():
+        raise BadInput(f"--style {text}: there is no such image")
+    return Path(text)
+
+
+def name_of(style: Path) -> str:
+    """Return the file name of a style image as part of an artifact's name.
+
+    Long names are cut and made unique by the file's digest, which also replaces names without a usable character.
+    """
+    name = re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-")
+    if 0 < len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[: LONGEST_NAME - 7] or 'style'}-{file_sha256(style)[:6]}"

@@ -11,9 +11,16 @@ from stages.configs.edit import RegionConfig
 from stages.configs.stylize import RefNprConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.pipeline.local_edit import field_of_region, learned_edit, only_one, pinned_look
-from stages.pipeline.prerequisites import ensure_deformed, ensure_field, pictures_of, scene_of_work, training_pictures
+from stages.pipeline.prerequisites import (
+    ensure_deformed,
+    ensure_field,
+    name_of,
+    pictures_of,
+    scene_of_work,
+    style_file,
+    training_pictures,
+)
 from stages.pipeline.stage_runner import Request, StageRunner
-from stages.pipeline.style_files import name_of, style_file
 
 
 def stylized(
