@@ -86,8 +86,8 @@ def _rms(field: RadianceField) -> float:
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArtifact, context: Context) -> None:
     context.progress.start("deform", config.steps, "step")
 
-    def tell(now: DeformationFitter) -> None:
+    def report(now: DeformationFitter) -> None:
         if now.state.step % 10 == 0:
             context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
 
-    run_training(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, report)

@@ -141,7 +141,7 @@ def _train(
     drawn_at = time.monotonic()
     context.progress.start("edit", 100.0, "%")
 
-    def tell(now: EditTrainer) -> None:
+    def report(now: EditTrainer) -> None:
         nonlocal drawn_at
         last = now.state.curve[-1] if now.state.curve else {}
         note = f"squared error {last['reconstruction']:.4f}" if "reconstruction" in last else now.state.phase
@@ -152,4 +152,4 @@ def _train(
             context.progress.say(f"preview: {target}")
             drawn_at = time.monotonic()
 
-    run_training(trainer, "the edit", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(trainer, "the edit", config.checkpoint_every_seconds, partial, context, report)

@@ -138,11 +138,11 @@ def _train(tuner: FineTuner, config: FinetuneConfig, partial: PartialArtifact, c
     steps = tuner.settings.steps
     context.progress.start("finetune", steps or tuner.settings.seconds, "step" if steps else "s")
 
-    def tell(now: FineTuner) -> None:
+    def report(now: FineTuner) -> None:
         note = ""
         if now.state.curve:
             last = now.state.curve[-1]
             note = f"squared error {last['inside']:.4f} in the edit, {last['outside']:.4f} outside"
         context.progress.update(now.state.step if steps else min(now.state.seconds, now.settings.seconds), note)
 
-    run_training(tuner, "the fine-tuning", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(tuner, "the fine-tuning", config.checkpoint_every_seconds, partial, context, report)

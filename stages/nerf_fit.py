@@ -49,11 +49,11 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     held_out = _held_out(train, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
-    _tell_idle(config, scene.layout, space.kind, bank.channels == 4, context)
+    _report_idle(config, scene.layout, space.kind, bank.channels == 4, context)
     device = gpu_of(context)
     settings = _settings(config, scene, space, device)
     if context.memory and device is None:
-        _tell_memory(settings, space, context)
+        _report_memory(settings, space, context)
     engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
@@ -77,7 +77,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_metrics(shifts)} | gpu_figures(device)
 
 
-def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
+def _report_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
     """Note options for objects that were set but have no effect here. cut_out: some photo has alpha."""
     works = {
         "opacity_weight": layout == "object",
@@ -93,7 +93,7 @@ def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, contex
         )
 
 
-def _tell_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
+def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.levels[-1].resolution
@@ -121,7 +121,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
     steps = fitter.settings.steps
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
-    def tell(now: Fitter) -> None:
+    def report(now: Fitter) -> None:
         if now.state.step % 10 == 0:
             last, note = now.state.curve[-1] if now.state.curve else {}, ""
             if last:
@@ -129,7 +129,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
-    run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
+    run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, report)
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:

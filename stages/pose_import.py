@@ -114,9 +114,9 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArti
     """Write the scene of what a reader found or structure from motion reconstructed; return the figures."""
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
-    _tell_missing(source, here, missing, context)
-    _tell_unused_masks(Path(config.source), here, context)
-    here = _with_splits(_told_apart(here), config.test_every)
+    _report_missing(source, here, missing, context)
+    _report_unused_masks(Path(config.source), here, context)
+    here = _with_splits(_with_distinct_names(here), config.test_every)
     alike: dict = {}
     photos = [sized(camera, source, alike) for camera in here]
     factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
@@ -147,7 +147,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArti
     return _figures(source, scene, depths)
 
 
-def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], context: Context) -> None:
+def _report_missing(source: SourceScene, here: list, missing: list[SourceCamera], context: Context) -> None:
     if missing:
         names = ", ".join(one.source for one in missing[:5]) + (", ..." if len(missing) > 5 else "")
         context.progress.say(f"{len(missing)} of {len(source.cameras)} listed photos have no image file: {names}")
@@ -159,7 +159,7 @@ def _tell_missing(source: SourceScene, here: list, missing: list[SourceCamera], 
         )
 
 
-def _tell_unused_masks(source: Path, here: list[SourceCamera], context: Context) -> None:
+def _report_unused_masks(source: Path, here: list[SourceCamera], context: Context) -> None:
     root = source.parent if source.is_file() else source
     if unused := unused_masks(here, root):
         names = ", ".join(printable(path_in_source(one, root)) for one in unused[:3])
@@ -184,7 +184,7 @@ def _inside(name: str) -> str:
     return "/".join(printable(part) for part in Path(name).parts if part not in ("..", "/"))
 
 
-def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
+def _with_distinct_names(cameras: list[SourceCamera]) -> list[SourceCamera]:
     """Give views of one name the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
 
     Raises:

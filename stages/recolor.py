@@ -4,7 +4,7 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, save_palette, told_after
+from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, kept_details, save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.scene import SceneData, load_scene, view_index
 from stages.configs.decompose import RecolorConfig
@@ -42,7 +42,7 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
     changes = by_column(changes, columns)
     edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
     field.color = color.edited(edit)
-    totals = told_after(source, changes)
+    totals = kept_details(source, changes)
     save_field(partial.path, field, background)
     save_palette(partial.path, color.palette, field.color.present_palette, shares, totals)
     return {

@@ -95,9 +95,9 @@ if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
 
 def palette_lines(made: "Artifact", kind: str = "edit") -> list[str]:
     """Return one line per palette color, after a heading and before the path."""
-    from stages.artifacts.edit import told_colors
+    from stages.artifacts.edit import palette_entries
 
-    colors = told_colors(made)
+    colors = palette_entries(made)
     lines = [
         f"  {one['index']}  {one['now']}  {one['share']:6.1%}  {one['name']}"
         + (f" (was {one['learned']})" if one["now"] != one["learned"] else "")

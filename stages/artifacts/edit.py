@@ -73,7 +73,7 @@ def load_edit(artifact: Artifact) -> Edit:
         return Edit(module, changes)
 
 
-def told_colors(artifact: Artifact) -> list[dict]:
+def palette_entries(artifact: Artifact) -> list[dict]:
     """The colors of palette.json: index, name, learned and now as text, share, and column, the module's number."""
     data = artifact.json(PALETTE)
     with sound(artifact.path / PALETTE, "a sound palette"):
@@ -93,7 +93,7 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
 
     colors: that the module has.
     """
-    entries = told_colors(artifact)
+    entries = palette_entries(artifact)
     if len(entries) != colors:
         raise ArtifactDamaged(
             f"{artifact.path / PALETTE} has {len(entries)} colors, but {colors} were learned; rebuild it"
@@ -103,7 +103,7 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
     return columns, [shares[column] for column in range(len(columns))]
 
 
-def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
+def kept_details(artifact: Artifact, changes: PaletteEdits) -> dict:
     """Return what palette.json has besides colors and still holds after a palette change that keeps the weights."""
     stored = artifact.json(PALETTE)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS

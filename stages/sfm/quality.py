@@ -150,7 +150,7 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
     model = models[0]
     agreements = pair_agreements(model, pairs, keypoints)
     turned = [
-        _turn_distance(*rays) * focal < TURNED_DISTANCE for *_, rays, focal in _told_pairs(model, pairs, keypoints)
+        _turn_distance(*rays) * focal < TURNED_DISTANCE for *_, rays, focal in _known_pairs(model, pairs, keypoints)
     ]
     return Quality(
         photos=photos,
@@ -172,14 +172,14 @@ def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> lis
     """For each pair of registered photos with matches enough: whether their median distance from the epipolar lines
     of the poses is within tolerance. Poses that contradict the photos fail here whatever their reprojection error."""
     agreeing = []
-    for first, second, rays, focal in _told_pairs(model, pairs, keypoints):
+    for first, second, rays, focal in _known_pairs(model, pairs, keypoints):
         poses = [from_colmap(np.asarray(image.cam_from_world().matrix())) for image in (first, second)]
         distances = focal * epipolar_distance(essential(*poses), *rays)
         agreeing.append(bool(np.median(distances) < AGREEING_DISTANCE))
     return agreeing
 
 
-def _told_pairs(model, pairs: list, keypoints: dict[str, np.ndarray]):
+def _known_pairs(model, pairs: list, keypoints: dict[str, np.ndarray]):
     """(image, image, rays [n, 2] of the matches in each, larger focal length) of pairs with matches enough."""
     images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
     for first, second, geometry in pairs:

@@ -47,7 +47,7 @@ def heat_map(cells: Sequence[Cell]) -> Chart:
         bar = drawing.colorbar(mesh, ax=axes, fraction=0.04, pad=0.02, ticks=[0, 0.5, 1])
         bar.ax.set_yticklabels(["none", "half", "all"])
         bar.set_label("runs that succeed")
-        return finish(drawing, "heat_map", "Success of methods under faults", _told(cells))
+        return finish(drawing, "heat_map", "Success of methods under faults", _description(cells))
 
 
 def draw_cells(axes: Axes, cells: Sequence[Cell]) -> QuadMesh:
@@ -90,7 +90,7 @@ def _write(axes, column: int, row: int, cell: Cell | None) -> None:
     axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=7.5, linespacing=1.2)
 
 
-def _told(cells: Sequence[Cell]) -> str:
+def _description(cells: Sequence[Cell]) -> str:
     failing = [cell for cell in cells if cell.successes < cell.count]
     whole = f"{len(cells) - len(failing)} of {len(cells)} cells succeed with every seed"
     if not failing:

@@ -13,11 +13,11 @@ from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.edit import (
     Edit,
     columns_and_shares,
+    kept_details,
     load_edit,
     load_edit_views,
     save_edit,
     save_edit_views,
-    told_after,
 )
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
 from stages.artifacts.region import load_region, regions_among, save_region
@@ -211,7 +211,7 @@ def _save_edit(folder: Path) -> None:
 def _use_edit(artifact: Artifact) -> None:
     edit = load_edit(artifact)
     columns_and_shares(artifact, len(edit.module.palette))
-    assert all(np.isfinite(value) for value in told_after(artifact, PaletteEdits()).values())
+    assert all(np.isfinite(value) for value in kept_details(artifact, PaletteEdits()).values())
     x = np.random.default_rng(21).random((16, 3)).astype(np.float32)
     _finite(edit.module.colors(x, np.tile(np.float32([0, 0, 1]), (16, 1)), edit.changes, np.full(16, 0.5, np.float32)))
 
