@@ -12,9 +12,9 @@ from stages.artifacts.edit import (
     by_column,
     changes_of,
     columns_and_shares,
+    kept_details,
     load_edit,
     save_edit,
-    told_after,
 )
 from stages.configs.edit import PaletteConfig
 from stages.run.progress import Context
@@ -34,7 +34,7 @@ def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArti
         changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{learned.path}: {error}; see {learned.path / PALETTE}") from error
-    totals = told_after(learned, changes)
+    totals = kept_details(learned, changes)
     save_edit(partial.path, Edit(edit.module, by_column(changes, columns)), shares, totals)
     if learned.has("style.png"):
         shutil.copyfile(learned.file("style.png"), partial.path / "style.png")

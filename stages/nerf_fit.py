@@ -8,17 +8,14 @@ from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
-from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
-from stages.artifacts.scene_space import space_of
-from stages.artifacts.validity import sound
+from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine
@@ -52,18 +49,15 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     held_out = _held_out(train, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
-    _tell_idle(config, scene.layout, space.kind, bank.channels == 4, context)
+    _report_idle(config, scene.layout, space.kind, bank.channels == 4, context)
     device = gpu_of(context)
     settings = _settings(config, scene, space, device)
     if context.memory and device is None:
-        _tell_memory(settings, space, context)
+        _report_memory(settings, space, context)
     engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
-    saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
-    if saved is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            fitter.resume(*saved)
+    if resumed(fitter, partial, context):
         context.progress.say(f"resuming at step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
@@ -83,7 +77,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_metrics(shifts)} | gpu_figures(device)
 
 
-def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
+def _report_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
     """Note options for objects that were set but have no effect here. cut_out: some photo has alpha."""
     works = {
         "opacity_weight": layout == "object",
@@ -99,7 +93,7 @@ def _tell_idle(config: FitConfig, layout: str, space: str, cut_out: bool, contex
         )
 
 
-def _tell_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
+def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.levels[-1].resolution
@@ -127,17 +121,15 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
     steps = fitter.settings.steps
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
-    def tell(now: Fitter) -> None:
+    def report(now: Fitter) -> None:
         if now.state.step % 10 == 0:
-            note = _quality(now.state.curve[-1]) if now.state.curve else ""
+            last, note = now.state.curve[-1] if now.state.curve else {}, ""
+            if last:
+                note = f"{last['psnr']:.1f} dB {'held out' if last['held_out'] else 'on training views'}"
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
-    run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
-
-
-def _quality(point: dict) -> str:
-    return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
+    run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, report)
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:

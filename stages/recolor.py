@@ -4,7 +4,7 @@ import numpy as np
 
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, save_palette, told_after
+from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_shares, kept_details, save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.scene import SceneData, load_scene, view_index
 from stages.configs.decompose import RecolorConfig
@@ -42,7 +42,7 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
     changes = by_column(changes, columns)
     edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
     field.color = color.edited(edit)
-    totals = told_after(source, changes)
+    totals = kept_details(source, changes)
     save_field(partial.path, field, background)
     save_palette(partial.path, color.palette, field.color.present_palette, shares, totals)
     return {
@@ -66,6 +66,7 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, threa
         x, alpha = ends_of_rays(field, camera, pixel, threads)
         if alpha[0] < SEEN:
             raise BadInput(f"--at {text} shows nothing of the field; give a pixel of an object")
-        centers.append(tuple(float(v) for v in field.space.unwarp(x)[0]))
+        across, down, along = field.space.unwarp(x)[0].tolist()
+        centers.append((across, down, along))
         reaches.append(REACH * float(np.linalg.norm(np.array(centers[-1]) - camera.center)))
     return SpaceFilter(field.space, tuple(centers), config.reach or float(np.mean(reaches)))

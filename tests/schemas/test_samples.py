@@ -10,7 +10,7 @@ from schemas.migrations import CURRENT
 from schemas.scene import read_scene
 from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, WorkFolder
-from stages.artifacts.edit import load_edit, told_colors
+from stages.artifacts.edit import load_edit, palette_entries
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region
 from stages.artifacts.scene import load_scene
@@ -88,5 +88,5 @@ def test_files_of_schema_2_read_under_their_new_names():
         assert isinstance(field.color, color) and background == "white"
     edit = work.get("edit", "part")
     assert load_edit(edit).changes.colors[0] == pytest.approx((0.1, 0.2, 0.3))
-    assert [color["learned"] for color in told_colors(edit)] == ["#63c8e6", "#fce960", "#e5a636"]
+    assert [color["learned"] for color in palette_entries(edit)] == ["#63c8e6", "#fce960", "#e5a636"]
     assert load_region(work.get("region", "part"))[0].edit.sum() == 27

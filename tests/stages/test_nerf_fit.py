@@ -11,7 +11,7 @@ from stages import nerf_fit
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of
 from stages.configs.fit import FitConfig
-from stages.nerf_fit import _settings, _shown, _tell_idle, _tell_memory
+from stages.nerf_fit import _report_idle, _report_memory, _settings, _shown
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.geometry.space_warp import SpaceWarp
@@ -133,9 +133,9 @@ OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "visual_hull": 0.1
 )
 def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, space, cut_out, idle):
     said = Said()
-    _tell_idle(FitConfig(), layout, space, cut_out, Context(progress=said))
+    _report_idle(FitConfig(), layout, space, cut_out, Context(progress=said))
     assert said.lines == []
-    _tell_idle(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
+    _report_idle(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
     assert len(said.lines) == bool(idle)
     assert not idle or said.lines[0].startswith(f"no effect of {idle}, for objects cut out by transparency: layout")
 
@@ -158,11 +158,11 @@ def test_a_bound_below_what_a_fit_takes_is_told():
     even = SpaceWarp.box([-1] * 3, [1] * 3)
     for memory, told in ((950_000_000, True), (1_000_000_000, False)):
         said = Said()
-        _tell_memory(settings(even), even, Context(progress=said, memory=memory))
+        _report_memory(settings(even), even, Context(progress=said, memory=memory))
         assert len(said.lines) == told
     said = Said()
-    _tell_memory(settings(even), even, Context(progress=said, memory=800_000_000))
+    _report_memory(settings(even), even, Context(progress=said, memory=800_000_000))
     assert "--memory 800 MB is less than a field of 256^3 takes to fit, about 964 MB" in said.lines[0]
     small = settings(even, capacity="fixed:64x8x8")
-    _tell_memory(small, even, Context(progress=said, memory=10**9))
+    _report_memory(small, even, Context(progress=said, memory=10**9))
     assert len(said.lines) == 1

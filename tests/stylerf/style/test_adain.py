@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from stages.weights.formats import wct_decoder
+from stages.weights.sources import wct_decoder
 from stylerf.style.adain import Decoder, adain, adain_picture
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_sizes import resized
