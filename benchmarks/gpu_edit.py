@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from stylerf.fields.gpu.field import GpuRegionColor
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch_edit
 

@@ -18,7 +18,7 @@ class PaletteEdits:
     code takes max); a row of zeros falls back to w.
     """
 
-    colors: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    colors: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     scales: Mapping[int, float] = field(default_factory=dict)
     biases: Mapping[int, float] = field(default_factory=dict)
 

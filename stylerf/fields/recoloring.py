@@ -25,7 +25,7 @@ class SpaceFilter:
     """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centers c the nearest counts."""
 
     space: SpaceWarp
-    centers: tuple[tuple[float, float, float], ...]
+    centers: tuple[tuple[float, ...], ...]  # x, y, z each
     reach: float
 
     def __post_init__(self) -> None:
@@ -80,9 +80,9 @@ class Recoloring:
     @classmethod
     def restore(cls, data: dict) -> "Recoloring":
         within = validation.entry(data, "within")
-        scales = (validation.number(data, f"{what}_scale", 0) for what in ("offset", "view"))
+        offset_scale, view_scale = (validation.number(data, f"{what}_scale", 0) for what in ("offset", "view"))
         changes = PaletteEdits.restore(validation.entry(data, "changes"))
-        return cls(changes, *scales, None if within is None else SpaceFilter.restore(within))
+        return cls(changes, offset_scale, view_scale, None if within is None else SpaceFilter.restore(within))
 
 
 def recolored(

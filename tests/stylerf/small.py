@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
-from stylerf.fields.hash_color import HashColor
-from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.hash_levels import Levels
+from stylerf.fields.hash_grid import HashColor, HashDensity, Levels
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity

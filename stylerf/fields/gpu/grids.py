@@ -5,7 +5,7 @@ import torch
 import triton
 from torch import Tensor
 
-from stylerf.fields.hash_levels import Levels
+from stylerf.fields.hash_grid import Levels
 from stylerf.fields.voxel import Grid
 from stylerf.kernels.gpu import launch_grids
 from stylerf.kernels.gpu.density import HASH, VOXEL

@@ -1,7 +1,7 @@
-"""kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and
+"""The hash color of kernels/cpu/hash_grid.py, a lane to a sample and four lanes to a vertex's floats, forward and
 backward.
 
-layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask,
+layout: int32 [6, LEVELS] as Levels.layout() of fields/hash_grid.py makes it: cells a side, multipliers of x and y, mask,
 first float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
 """
 
@@ -122,7 +122,7 @@ def color_backward_kernel(
 
 @triton.jit(do_not_specialize=["count"])
 def rows_kernel(table, layout, points, out, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
-    """out [count, 4 LEVELS]: the levels' interpolated values, concatenated (kernels/cpu/hash_encoding.py)."""
+    """out [count, 4 LEVELS]: the levels' interpolated values, concatenated (kernels/cpu/hash_grid.py)."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = k < count
     lane = tl.arange(0, 4)

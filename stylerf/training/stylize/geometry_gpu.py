@@ -6,7 +6,7 @@ from torch import Tensor
 
 from stylerf.fields.gpu.field import COLOR_KINDS, GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera

@@ -33,7 +33,7 @@ def made(seed: int = 4) -> PaletteColor:
 
 
 def written_out(color: PaletteColor, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    """The formula of fields/palette_head.py, term by term."""
+    """The formula of fields/palette_color.py, term by term."""
     levels, m = color.features.levels, color.bases
     table, palette, numbers = values.split([color.features.length, 3 * m, color.head.length])
     rows = torch_reference.hash_levels(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.displacement_grid import displacement_gradient
+from stylerf.fields.deformation import displacement_gradient
 from stylerf.fields.marching import displacement_arrays, occupancy_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.kernels import torch_reference

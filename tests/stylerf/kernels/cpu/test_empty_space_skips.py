@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.vm import VmDensity
-from stylerf.fields.vm_tables import split_table
+from stylerf.fields.vm import VmDensity, split_table
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.kernels.cpu.test_march import even_fog, march

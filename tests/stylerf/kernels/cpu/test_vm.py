@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.vm import VmDensity
-from stylerf.fields.vm_tables import split_table
+from stylerf.fields.vm import VmDensity, split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Samples
