@@ -123,7 +123,7 @@ def random_field(vertices: int, kind: str = "vm"):
 
 def random_rays(count: int, device: torch.device):
     """Rays towards the middle of the box from around it."""
-    from stylerf.fields.gpu.field import GpuRays
+    from stylerf.kernels.gpu.ray_samples import GpuRays
 
     generator = np.random.default_rng(1)
     origins = generator.normal(size=(count, 3))

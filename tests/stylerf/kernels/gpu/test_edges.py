@@ -107,8 +107,8 @@ def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, m
 
     march_rays = launch._march_rays
 
-    def miscounted(inputs, density, origins, directions, jitter, samples, last, room, fill):
-        march_rays(inputs, density, origins, directions, jitter, samples, last, room, fill)
+    def miscounted(inputs, density, rays, samples, last, room, fill):
+        march_rays(inputs, density, rays, samples, last, room, fill)
         if not fill:
             samples.counts -= 1
 
