@@ -24,7 +24,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.color_heads import Packed, uncolored
 from stylerf.fields.hash_grid import HashFeatures, Levels
 from stylerf.fields.marching import ScratchArena
-from stylerf.fields.recoloring import Recoloring, recolored
+from stylerf.fields.palette_edits import Recoloring, recolored
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import ROW

@@ -29,9 +29,8 @@ from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.palette_edits import PaletteEdits
+from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import ColorMap, RadianceField, layers_of
-from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view

@@ -16,9 +16,9 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
+from tests.stylerf.kernels import torch_reference
 
 DENSITY_RANK, COLOR_RANK = 16, 24
 SIZE = (7, 6, 8)

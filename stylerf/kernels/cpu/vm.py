@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numba import prange
 
+from stylerf.kernels.cpu.color_heads import head_of
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_partition, march_partition
 from stylerf.kernels.cpu.simd_vm import (
@@ -136,18 +137,6 @@ def density_position_gradient(density, ranks, samples, sigma_gradients, threads,
                             position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
 
 
-@inline
-def head_of_ray(head, basis, r, bands, features, out):
-    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the color head evaluated for one ray's direction."""
-    for j in range(3):
-        for f in range(features):
-            out[j * features + f] = _ZERO
-        for b in range(bands):
-            w = basis[r, b]
-            for f in range(features):
-                out[j * features + f] += head[(j * bands + b) * features + f] * w
-
-
 @parallel_kernel
 def color(parameters, ranks, points, basis, threads, out):
     """Colors of points with a positive weight: sigmoid(sum_b basis_b (head_b . features) + bias); else -1 in channel 0.
@@ -157,7 +146,6 @@ def color(parameters, ranks, points, basis, threads, out):
     table, size, head, bias = parameters
     starts, ends, x, weights = points
     n = len(ends)
-    bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
     for thread in prange(threads):
@@ -173,7 +161,7 @@ def color(parameters, ranks, points, basis, threads, out):
                 if k + 1 < stop and weights[k + 1] > _ZERO:
                     vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
                 if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    head_of(head, basis, r, width, ray_head)
                     ready = True
                 vm_projected(table, *places(x[k], size, rank), ray_head, z, ranks)
                 for j in range(3):
@@ -211,7 +199,7 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
                     vm_prefetch(table, np.int64(0), *following, ranks)
                     vm_prefetch(flat, base, *following, ranks)
                 if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    head_of(head, basis, r, width, ray_head)
                     ray_head_gradient[:] = _ZERO
                     ready = True
                 for j in range(3):
@@ -240,7 +228,7 @@ def color_position_gradient(parameters, ranks, points, basis, colors, color_grad
     table, size, head = parameters.table, parameters.size, parameters.head
     starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
-    rank, bands = np.int64(len(ranks)), basis.shape[1]
+    rank = np.int64(len(ranks))
     width = 3 * rank
     for thread in prange(threads):
         ray_head, gradient = np.empty(3 * width, np.float32), np.empty(width, np.float32)
@@ -251,7 +239,7 @@ def color_position_gradient(parameters, ranks, points, basis, colors, color_grad
                 if colors[k, 0] < _ZERO:
                     continue
                 if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    head_of(head, basis, r, width, ray_head)
                     ready = True
                 gradient[:] = _ZERO
                 for j in range(3):

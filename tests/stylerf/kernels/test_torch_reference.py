@@ -9,7 +9,7 @@ import torch
 from stylerf.fields.hash_grid import HashColor, Levels
 from stylerf.fields.vm import VmColor, VmDensity, split_table, table_length
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import SPACES, float64
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}

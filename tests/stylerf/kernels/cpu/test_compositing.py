@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu import compositing as kernels
 from stylerf.kernels.cpu.color_heads import count_marked
 from stylerf.kernels.cpu.ray_samples import Samples
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, float64
 
 # Rays of many kinds: many samples, none, one, one opaque, many behind an opaque one, uncolored ones only.

@@ -6,10 +6,10 @@ import pytest
 from stylerf.fields.deformation import displacement_gradient
 from stylerf.fields.marching import displacement_arrays, occupancy_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.deformation import displaced_cells, mark_cells
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.cpu.test_march import STEP, even_fog, march
 from tests.stylerf.kernels.cpu.test_vm import RAYS, basis_of, owned, samples
 from tests.stylerf.small import (

@@ -6,8 +6,8 @@ import torch
 
 from stylerf.fields.vm import VmDensity, split_table
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Samples
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import SIZE, close, density, float64, oracle_color, oracle_density, vm_color
 
 RAYS = 9

@@ -8,8 +8,8 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
 from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
 

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.kernels import torch_reference
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.ray_dataset import RayDataset
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, density, float64, hash_color, vm_color
 from tests.stylerf.training.scenes import box_bank
 

@@ -10,7 +10,7 @@ from stylerf.editing.edit_views import EditView
 from stylerf.editing.palette_losses import weight_variation
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor, Parts
-from stylerf.fields.recoloring import Recoloring
+from stylerf.fields.palette_edits import Recoloring
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.palettenerf import (
     DecompositionWeights,
