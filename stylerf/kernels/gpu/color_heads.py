@@ -1,8 +1,12 @@
 """Color heads behind features of any kind: kernels/cpu/color_heads.py, features and head in one kernel.
 
-Samples are walked as in tables.py; features never leave the registers. All heads' kernels take the same arguments:
-ENCODER, PIECES, RANK and WIDTH say what the features are; UNITS: columns of the layer behind them. Without a hidden
-layer these are 3 BANDS rounded up to a power of two, at least 16.
+    linear    sigmoid(bias + sum_b Y_b head_b . phi); numbers: head [3, BANDS, PIECES RANK], bias [3]
+    harmonic  sigmoid(sum_b Y_b phi_b) of features that are coefficients, [3, BANDS]; numbers: not read
+    mlp       sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); numbers, flat: W1 of the features [PIECES RANK, UNITS], W1 of
+              the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3]
+
+Samples are walked as in tables.py; features never leave the registers. ENCODER, PIECES, RANK and WIDTH say what the
+features are. UNITS: of the hidden layer, a power of two; without one 3 BANDS rounded up to one, at least 16.
 """
 
 import triton
@@ -12,6 +16,7 @@ from stylerf.kernels.gpu.indexing import SIZES, offset, store_vector, vector
 from stylerf.kernels.gpu.shading import bands_of, of_channel, sigmoid, sum_of_channel, to_color, to_learn
 from stylerf.kernels.gpu.tables import piece, piece_scatter
 
+LINEAR, HARMONIC, MLP = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
 UNALIGNED = ["numbers", "numbers_to"]
 MOST_BANDS = tl.constexpr(16)  # columns of the tile of harmonics: products of tiles need as many
 
@@ -25,32 +30,77 @@ def head_rows(
     return tl.load(head + output[:, None] * FEATURES + m * RANK + columns[None, :], mask=mask, other=0.0)
 
 
-@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
-def linear_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
-    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
-    UNITS: tl.constexpr, BLOCK: tl.constexpr,
+@triton.jit
+def _first_rows(numbers, first: tl.constexpr, place, COUNT: tl.constexpr, UNITS: tl.constexpr):
+    """[places, UNITS]: the rows of W1 from `first` on; zero from the COUNTth on."""
+    at = numbers + (first + place[:, None]) * UNITS + tl.arange(0, UNITS)[None, :]
+    return tl.load(at, mask=place[:, None] < COUNT, other=0.0)
+
+
+@triton.jit
+def _from_direction(numbers, basis, band, FEATURES: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr):
+    """[samples, UNITS]: b1 + sum_b Y_b W1_b."""
+    sums = tl.dot(basis, _first_rows(numbers, FEATURES, band, BANDS, UNITS), input_precision="ieee")
+    return sums + tl.load(numbers + (FEATURES + BANDS) * UNITS + tl.arange(0, UNITS))[None, :]
+
+
+@triton.jit
+def hidden_layer(
+    numbers, table, layout, x, y, z, s0, s1, s2, basis, band, columns, valid,
+    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: sigmoid(bias + sum_b Y_b head_b . phi); -1 below weight_threshold times the ray's largest weight."""
+    """(relu(W1 (phi, Y) + b1) [samples, UNITS], the last piece of phi); a NaN stays one."""
+    sums = _from_direction(numbers, basis, band, PIECES * RANK, BANDS, UNITS)
+    for m in tl.static_range(PIECES):
+        phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
+        rows = _first_rows(numbers, m * RANK, columns, RANK, UNITS)
+        sums = tl.dot(phi, rows, acc=sums, input_precision="ieee")
+    return tl.where(sums < 0.0, 0.0, sums), phi
+
+
+@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
+def color_kernel(
+    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
+    HEAD: tl.constexpr, ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr,
+    BANDS: tl.constexpr, UNITS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
+    """out [n, 3]: colors; -1 in channel 0 of samples below weight_threshold times their ray's largest weight."""
     count = tl.load(total)
-    columns, output = tl.arange(0, WIDTH), tl.arange(0, UNITS)
-    bias = numbers + 3 * BANDS * PIECES * RANK
+    columns, unit = tl.arange(0, WIDTH), tl.arange(0, UNITS)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
         if tl.max(valid.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, valid)
-            sums = tl.zeros([BLOCK, UNITS], tl.float32)
-            for m in tl.static_range(PIECES):
-                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
-                rows = head_rows(numbers, m, columns, output, RANK, PIECES * RANK, 3 * BANDS)
-                sums = tl.dot(phi, tl.trans(rows), acc=sums, input_precision="ieee")
             dx, dy, dz = vector(directions, ray, valid)
-            sums = sums * bands_of(dx, dy, dz, output, BANDS)
-            red = sigmoid(sum_of_channel(sums, output, BANDS, 0) + tl.load(bias))
-            green = sigmoid(sum_of_channel(sums, output, BANDS, 1) + tl.load(bias + 1))
-            blue = sigmoid(sum_of_channel(sums, output, BANDS, 2) + tl.load(bias + 2))
-            store_vector(out, k, red, green, blue, valid)
+            if HEAD == MLP:
+                band = tl.arange(0, MOST_BANDS)
+                layer, _phi = hidden_layer(
+                    numbers, table, layout, x, y, z, s0, s1, s2, bands_of(dx, dy, dz, band, BANDS), band, columns,
+                    valid, ENCODER, PIECES, RANK, BANDS, UNITS,
+                )  # fmt: skip
+                second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
+                bias = second + 3 * UNITS
+                red = tl.sum(layer * tl.load(second + unit)[None, :], axis=1) + tl.load(bias)
+                green = tl.sum(layer * tl.load(second + UNITS + unit)[None, :], axis=1) + tl.load(bias + 1)
+                blue = tl.sum(layer * tl.load(second + 2 * UNITS + unit)[None, :], axis=1) + tl.load(bias + 2)
+            elif HEAD == LINEAR:
+                sums = tl.zeros([BLOCK, UNITS], tl.float32)
+                for m in tl.static_range(PIECES):
+                    phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
+                    rows = head_rows(numbers, m, columns, unit, RANK, PIECES * RANK, 3 * BANDS)
+                    sums = tl.dot(phi, tl.trans(rows), acc=sums, input_precision="ieee")
+                sums = sums * bands_of(dx, dy, dz, unit, BANDS)
+                bias = numbers + 3 * BANDS * PIECES * RANK
+                red = sum_of_channel(sums, unit, BANDS, 0) + tl.load(bias)
+                green = sum_of_channel(sums, unit, BANDS, 1) + tl.load(bias + 1)
+                blue = sum_of_channel(sums, unit, BANDS, 2) + tl.load(bias + 2)
+            else:
+                phi = piece(0, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
+                seen = phi * bands_of(dx, dy, dz, columns, BANDS)
+                red, green = sum_of_channel(seen, columns, BANDS, 0), sum_of_channel(seen, columns, BANDS, 1)
+                blue = sum_of_channel(seen, columns, BANDS, 2)
+            store_vector(out, k, sigmoid(red), sigmoid(green), sigmoid(blue), valid)
         tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
@@ -101,30 +151,6 @@ def linear_backward_kernel(
     tl.atomic_add(bias_to + 2, blue, sem="relaxed")
 
 
-@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
-def harmonic_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
-    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
-    UNITS: tl.constexpr, BLOCK: tl.constexpr,
-):  # fmt: skip
-    """out [n, 3]: sigmoid(sum_b Y_b phi_b) of features that are coefficients, [3, BANDS]; numbers: not read."""
-    count = tl.load(total)
-    columns = tl.arange(0, WIDTH)
-    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
-        if tl.max(valid.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, valid)
-            dx, dy, dz = vector(directions, ray, valid)
-            phi = piece(0, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
-            seen = phi * bands_of(dx, dy, dz, columns, BANDS)
-            red = sigmoid(sum_of_channel(seen, columns, BANDS, 0))
-            green = sigmoid(sum_of_channel(seen, columns, BANDS, 1))
-            blue = sigmoid(sum_of_channel(seen, columns, BANDS, 2))
-            store_vector(out, k, red, green, blue, valid)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
-
-
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
 def harmonic_backward_kernel(
     table, layout, numbers, points, directions, ray_of, colors, color_gradients, total, to, numbers_to, s0, s1, s2,
@@ -142,62 +168,6 @@ def harmonic_backward_kernel(
         dx, dy, dz = vector(directions, ray, valid)
         own = of_channel(columns, g0, g1, g2, BANDS) * bands_of(dx, dy, dz, columns, BANDS)
         piece_scatter(0, table, to, layout, x, y, z, s0, s1, s2, own, columns, valid, ENCODER, RANK)
-
-
-# -- one hidden layer --------------------------------------------------------------------------------------------------
-#
-# UNITS: of the hidden layer, a power of two. numbers, flat: W1 of the features [PIECES RANK, UNITS], W1 of the
-# harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3].
-
-
-@triton.jit
-def _first_rows(numbers, first: tl.constexpr, place, COUNT: tl.constexpr, UNITS: tl.constexpr):
-    """[places, UNITS]: the rows of W1 from `first` on; zero from the COUNTth on."""
-    at = numbers + (first + place[:, None]) * UNITS + tl.arange(0, UNITS)[None, :]
-    return tl.load(at, mask=place[:, None] < COUNT, other=0.0)
-
-
-@triton.jit
-def _from_direction(numbers, basis, band, FEATURES: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr):
-    """[samples, UNITS]: b1 + sum_b Y_b W1_b."""
-    sums = tl.dot(basis, _first_rows(numbers, FEATURES, band, BANDS, UNITS), input_precision="ieee")
-    return sums + tl.load(numbers + (FEATURES + BANDS) * UNITS + tl.arange(0, UNITS))[None, :]
-
-
-@triton.jit
-def _relu(sums):
-    """A NaN stays one."""
-    return tl.where(sums < 0.0, 0.0, sums)
-
-
-@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["numbers"])
-def mlp_kernel(
-    table, layout, numbers, points, directions, ray_of, weights, largest, weight_threshold, total, out, s0, s1, s2,
-    ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr,
-    UNITS: tl.constexpr, BLOCK: tl.constexpr,
-):  # fmt: skip
-    """out [n, 3]: sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); -1 below weight_threshold times the ray's largest weight."""
-    count = tl.load(total)
-    columns, band, unit = tl.arange(0, WIDTH), tl.arange(0, MOST_BANDS), tl.arange(0, UNITS)
-    second = numbers + (PIECES * RANK + BANDS + 1) * UNITS
-    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block * BLOCK + tl.arange(0, BLOCK)
-        inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
-        if tl.max(valid.to(tl.int32), axis=0) > 0:
-            x, y, z = vector(points, k, valid)
-            dx, dy, dz = vector(directions, ray, valid)
-            sums = _from_direction(numbers, bands_of(dx, dy, dz, band, BANDS), band, PIECES * RANK, BANDS, UNITS)
-            for m in tl.static_range(PIECES):
-                phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
-                rows = _first_rows(numbers, m * RANK, columns, RANK, UNITS)
-                sums = tl.dot(phi, rows, acc=sums, input_precision="ieee")
-            layer = _relu(sums)
-            last = second + 3 * UNITS
-            red = tl.sum(layer * tl.load(second + unit)[None, :], axis=1) + tl.load(last)
-            green = tl.sum(layer * tl.load(second + UNITS + unit)[None, :], axis=1) + tl.load(last + 1)
-            blue = tl.sum(layer * tl.load(second + 2 * UNITS + unit)[None, :], axis=1) + tl.load(last + 2)
-            store_vector(out, k, sigmoid(red), sigmoid(green), sigmoid(blue), valid)
-        tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=UNALIGNED)
@@ -227,12 +197,10 @@ def mlp_backward_kernel(
         x, y, z = vector(points, k, valid)
         dx, dy, dz = vector(directions, ray, valid)
         basis = bands_of(dx, dy, dz, band, BANDS)
-        sums = _from_direction(numbers, basis, band, PIECES * RANK, BANDS, UNITS)
-        for m in tl.static_range(PIECES):
-            phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
-            rows = _first_rows(numbers, m * RANK, columns, RANK, UNITS)
-            sums = tl.dot(phi, rows, acc=sums, input_precision="ieee")
-        layer = _relu(sums)
+        layer, phi = hidden_layer(
+            numbers, table, layout, x, y, z, s0, s1, s2, basis, band, columns, valid,
+            ENCODER, PIECES, RANK, BANDS, UNITS,
+        )  # fmt: skip
         red += tl.sum(g0, axis=0)
         green += tl.sum(g1, axis=0)
         blue += tl.sum(g2, axis=0)

@@ -35,9 +35,9 @@ PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the 
 # for capability 9.0).
 HEAD_WARPS = 8
 HEADS = {
-    "linear": (color_heads.linear_kernel, color_heads.linear_backward_kernel),
-    "harmonic": (color_heads.harmonic_kernel, color_heads.harmonic_backward_kernel),
-    "mlp": (color_heads.mlp_kernel, color_heads.mlp_backward_kernel),
+    "linear": (color_heads.LINEAR.value, color_heads.linear_backward_kernel),
+    "harmonic": (color_heads.HARMONIC.value, color_heads.harmonic_backward_kernel),
+    "mlp": (color_heads.MLP.value, color_heads.mlp_backward_kernel),
 }
 
 
@@ -169,9 +169,10 @@ def _head_constants(color) -> dict:
 def headed_colors(color, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
     """Return [room, 3] colors; -1 in channel 0 below weight_threshold times the ray's largest weight."""
     out = torch.empty((samples.room, 3), device=samples.x.device)
-    HEADS[color.head][0][persistent_grid(out.device, samples.room, SAMPLES)](
+    color_heads.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
         color.table, color.layout, color.numbers, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, float(weight_threshold), samples.total, out, *color.size, **_head_constants(color),
+        samples.largest, float(weight_threshold), samples.total, out, *color.size, HEAD=HEADS[color.head][0],
+        **_head_constants(color),
     )  # fmt: skip
     return out
 

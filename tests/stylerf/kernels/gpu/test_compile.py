@@ -35,8 +35,8 @@ def test_all_kernels_compile_and_fit(tmp_path, capability):
     assert kernels == {
         "march.march_kernel", "tables.density_kernel", "tables.density_backward_kernel",
         "vm.smoothness_kernel", "hash_levels.smoothness_kernel", "voxel.smoothness_kernel",
-        "color_heads.linear_kernel", "color_heads.linear_backward_kernel", "color_heads.harmonic_kernel",
-        "color_heads.harmonic_backward_kernel", "color_heads.mlp_kernel", "color_heads.mlp_backward_kernel",
+        "color_heads.color_kernel", "color_heads.linear_backward_kernel", "color_heads.harmonic_backward_kernel",
+        "color_heads.mlp_backward_kernel",
         "hash_color.color_kernel", "hash_color.color_backward_kernel", "hash_color.rows_kernel",
         "hash_color.rows_backward_kernel", "regions.color_kernel", "regions.color_backward_kernel",
         "regions.keep_kernel", "regions.ends_kernel", "compositing.composite_kernel",
