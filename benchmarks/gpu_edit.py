@@ -22,7 +22,7 @@ def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
     of_sigma = torch.randn_like(s.sigma)
     rows = launch.rows(part.table, part.layout, part.levels, s.x)
     return {
-        "patch color": (lambda: launch.region_colors(part, s, colors), n * 36 + cells**3 + table),
+        "patch color": (lambda: part.add_logits(s, colors), n * 36 + cells**3 + table),
         "patch color backward": (
             lambda: part.backward(s, ways, colors, of_colors, to), n * 36 + cells**3 + 3 * table,
         ),

@@ -130,9 +130,7 @@ class GpuField:
             moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
             self.density.add_position_gradients(s, of_sigma, moved)
             self.color.add_position_gradients(s, rays.directions, r.colors, of_colors, moved)
-            launch.displacement_backward(
-                self.space.code, self._space, rays, s, moved, self.vertices, displacement_to
-            )
+            launch.displacement_backward(self.space.code, self._space, rays, s, moved, self.vertices, displacement_to)
 
     def write_to(self, field: RadianceField) -> None:
         """Copy learned values back into `field`, and recompute its occupancy with exact distances."""

@@ -15,9 +15,19 @@ from stylerf.fields.hash_grid import Levels
 from stylerf.fields.vm import table_length
 from stylerf.fields.voxel import Grid
 from stylerf.geometry.spherical_harmonics import BANDS
-from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu import color_heads, deformation, hash_color, hash_levels, regions, tables, vm, voxel
+from stylerf.kernels.gpu.launch import POINTS, SAMPLES, over, over_samples, width_of
 from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.kernels.gpu.tables import HASH, VM, VOXEL
+
+# With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
+# for capability 9.0).
+HEAD_WARPS = 8
+HEADS = {
+    "linear": (color_heads.LINEAR.value, color_heads.linear_backward_kernel),
+    "harmonic": (color_heads.HARMONIC.value, color_heads.harmonic_backward_kernel),
+    "mlp": (color_heads.MLP.value, color_heads.mlp_backward_kernel),
+}
 
 # -- tables: code, pieces, size, rank and layout as kernels/gpu/tables.py reads them -----------------------------------
 
@@ -30,11 +40,19 @@ class GpuPlanes:
     def __init__(self, size: np.ndarray, rank: int, device: torch.device) -> None:
         self.size, self.rank, self.length = [int(s) for s in size], rank, table_length(size, rank)
         self.layout = torch.zeros(1, dtype=torch.int32, device=device)  # not read, but kernels need a pointer
-        self.width = launch.width_of(rank)
+        self.width = width_of(rank)
 
-    def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
-        """Add the gradient of `strength` times the total variation to `to` [length or more]."""
-        launch.plane_smoothness(values, self.size, self.rank, strength / self.length, to)
+    def smooth(self, values: Tensor, strength: float, to: Tensor, count: int = 0) -> None:
+        """Add the gradient of strength/2 times the mean squared difference of texels to `to` [length or more].
+
+        count: over which the mean is taken; 0: the length.
+        """
+        begin, strength = 0, strength / (count or self.length)
+        for a, b in ((1, 2), (2, 0), (0, 1)):
+            rows, columns = self.size[a], self.size[b]
+            given = values, to, strength, rows, columns, begin
+            over(vm.smoothness_kernel, rows * columns, SAMPLES, *given, RANK=self.rank, WIDTH=self.width)
+            begin += rows * columns
 
 
 class GpuHashLevels:
@@ -56,7 +74,9 @@ class GpuHashLevels:
         for level in range(self._active):
             first, end = self._firsts[level : level + 2]
             if self._direct[level]:
-                launch.level_smoothness(values, strength, self._cells[level] + 1, first, self._row, to)
+                vertices = self._cells[level] + 1
+                given = values, to, strength, vertices, int(first)
+                over(hash_levels.smoothness_kernel, vertices**3 * self._row, POINTS, *given, ROW=self._row)
             else:
                 to[first:end].add_(values[first:end], alpha=strength)
 
@@ -76,7 +96,9 @@ class GpuVoxelGrid:
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
         """See VoxelDensity.smooth in fields/voxel.py; to: [length or more]."""
-        launch.voxel_smoothness(values, self.layout, self.places, self.size, self.rank, strength / self.length, to)
+        rows = 64 * len(self.places)
+        given = values, self.layout, self.places, to, strength / self.length, rows, *self.size
+        over(voxel.smoothness_kernel, rows, SAMPLES, *given, ROW=self.rank, WIDTH=self.width)
 
 
 GpuTable = GpuPlanes | GpuHashLevels | GpuVoxelGrid
@@ -117,11 +139,18 @@ class GpuDensity(GpuPart):
 
     def sigma(self, points: Tensor) -> Tensor:
         """Raw density [n] of cube points [n, 3]."""
-        return launch.density_at(self, points)
+        out, n = torch.empty(len(points), device=points.device), len(points)
+        given = self.table, self.layout, self.shift, points, out, n, *self.size
+        over(tables.density_kernel, n, POINTS, *given, DENSITY=self.code, RANK=self.rank, WIDTH=self.width)
+        return out
 
     def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
         """Add dL/d(values) to `to` [len(values)]."""
-        launch.density_backward(self, samples, sigma_gradients, to)
+        s = samples
+        over_samples(
+            tables.density_backward_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total, to,
+            to[-1:], *self.size, DENSITY=self.code, RANK=self.rank, WIDTH=self.width,
+        )  # fmt: skip
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
         """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
@@ -132,14 +161,16 @@ class GpuDensity(GpuPart):
 
 
 class GpuVmDensity(GpuDensity):
+    grid: GpuPlanes
     moves = True
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        launch.add_density_slopes(self, samples, sigma_gradients, out)
+        s = samples
+        given = self.table, s.x, s.sigma, sigma_gradients, s.total, out, *self.size
+        over_samples(deformation.density_position_kernel, s, *given, RANK=self.rank, WIDTH=self.width)
 
     def smooth(self, strength: float, to: Tensor) -> None:
-        """See VmDensity.smooth."""
-        launch.plane_smoothness(self.values, self.size, self.rank, strength / len(self.values), to)
+        self.grid.smooth(self.values, strength, to, len(self.values))
 
 
 # -- colors -----------------------------------------------------------------------------------------------------------
@@ -173,18 +204,33 @@ class GpuEncodedColor(GpuColor):
         self._read(TABLES[part.features.kind](part.features, part.features.width, device), part.head.kind, part, half)
 
     def _read(self, grid: GpuTable, head: str, part, half: bool) -> None:
-        self.grid, self.code, self.pieces = grid, grid.code, grid.pieces
-        self.size, self.rank, self.layout = grid.size, grid.rank, grid.layout
-        self.head, self.bands, self.hidden = head, BANDS[part.degree], HIDDEN if head == "mlp" else 0
+        self.grid, self.size, self.rank, self.layout = grid, grid.size, grid.rank, grid.layout
+        self.head, self.bands = head, BANDS[part.degree]
+        self.outputs = max(16, triton.next_power_of_2(3 * self.bands))  # columns of a tile of the head's outputs
+        plain = head == "linear" and grid.code == VM.value  # few registers: Triton's own number of warps
+        self._constants = {
+            "ENCODER": grid.code, "PIECES": grid.pieces, "RANK": grid.rank, "WIDTH": width_of(grid.rank),
+            "BANDS": self.bands, "UNITS": HIDDEN if head == "mlp" else self.outputs,
+            "num_warps": 4 if plain else HEAD_WARPS,
+        }  # fmt: skip
         table, numbers = self.values[: grid.length], self.values[grid.length :]
         self.table = table.half() if half else table
         self.numbers = numbers if len(numbers) else self.values  # the harmonic head has none, but needs a pointer
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        return launch.headed_colors(self, samples, directions, weight_threshold)
+        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
+        over_samples(
+            color_heads.color_kernel, s, self.table, self.layout, self.numbers, s.x, directions, s.ray_of, s.weights,
+            s.largest, float(weight_threshold), s.total, out, *self.size, HEAD=HEADS[self.head][0], **self._constants,
+        )  # fmt: skip
+        return out
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        launch.headed_colors_backward(self, samples, directions, colors, color_gradients, to)
+        s = samples
+        over_samples(
+            HEADS[self.head][1], s, self.table, self.layout, self.numbers, s.x, directions, s.ray_of, colors,
+            color_gradients, s.total, to, to[len(self.table) :], *self.size, **self._constants,
+        )  # fmt: skip
 
     def smooth(self, strength: float, to: Tensor) -> None:
         self.grid.smooth(self.values, strength, to)
@@ -200,7 +246,12 @@ class GpuVmColor(GpuEncodedColor):
         self._read(TABLES["vm"](part, 0, device), "linear", part, half)
 
     def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
-        launch.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
+        s = samples
+        over_samples(
+            deformation.vm_color_position_kernel, s, self.table, self.numbers, s.x, directions, s.ray_of, colors,
+            color_gradients, s.total, out, *self.size,
+            RANK=self.rank, WIDTH=width_of(self.rank), BANDS=self.bands, OUTPUTS=self.outputs,
+        )  # fmt: skip
 
 
 class GpuHashColor(GpuColor):
@@ -214,13 +265,18 @@ class GpuHashColor(GpuColor):
         self.table = self.values.half() if half else self.values
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        return launch.hash_colors(self, samples, weight_threshold)
+        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
+        given = s.x, s.ray_of, s.weights, s.largest, float(weight_threshold), s.total, out
+        over_samples(hash_color.color_kernel, s, self.table, self.layout, *given, LEVELS=self.levels)
+        return out
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        launch.hash_colors_backward(self, samples, colors, color_gradients, to)
+        given = samples.x, colors, color_gradients, samples.total, to
+        over_samples(hash_color.color_backward_kernel, samples, self.layout, *given, LEVELS=self.levels)
 
     def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
-        launch.add_hash_color_slopes(self, samples, colors, color_gradients, out)
+        given = self.table, self.layout, samples.x, colors, color_gradients, samples.total, out
+        over_samples(deformation.hash_color_position_kernel, samples, *given, LEVELS=self.levels)
 
     def smooth(self, strength: float, to: Tensor) -> None:
         """See HashColor.smooth."""
@@ -240,11 +296,18 @@ class GpuRegionColor(GpuHashColor):
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
         out = self.base.visible_colors(samples, directions, weight_threshold)
-        launch.region_colors(self, samples, out)
+        self.add_logits(samples, out)
         return out
 
+    def add_logits(self, samples: GpuSamples, colors: Tensor) -> None:
+        """Add the region's logits to the base's colors [room, 3], in place."""
+        given = self.table, self.layout, self.marked, self.cells, self.box, samples.x, samples.total, colors
+        over_samples(regions.color_kernel, samples, *given, LEVELS=self.levels)
+
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        launch.region_colors_backward(self, samples, colors, color_gradients, to)
+        s = samples
+        given = self.layout, self.marked, self.cells, self.box, s.x, colors, color_gradients, s.total, to
+        over_samples(regions.color_backward_kernel, s, *given, LEVELS=self.levels)
 
 
 DENSITY_KINDS: dict[str, type[GpuDensity]] = {"vm": GpuVmDensity, "hash": GpuDensity, "voxel": GpuDensity}
