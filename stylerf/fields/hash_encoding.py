@@ -42,8 +42,10 @@ class HashEncoding:
 
     def forward(self, x: np.ndarray, threads: int) -> Tensor:
         """Return phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, outside of autograd."""
-        x = np.ascontiguousarray(x, np.float32)
-        return torch.from_numpy(self.features.encode(self.values, x, np.arange(len(x)), threads))
+        x, out = np.ascontiguousarray(x, np.float32), torch.empty(len(x), self.width)
+        # In torch's own memory: the alignment can change the last bit of the matrix product that follows.
+        self.features.encode(self.values, x, np.arange(len(x)), threads, out.numpy())
+        return out
 
     def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
         """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""

@@ -69,9 +69,11 @@ class TableFeatures:
     def __init__(self, width: int, length: int, layout: np.ndarray, shape: tuple) -> None:
         self.width, self.length, self.layout, self._shape = width, length, layout, shape
 
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
-        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube."""
-        out = np.empty((len(index), self.width), np.float32)
+    def encode(
+        self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int, out: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube; in `out` if it is given."""
+        out = np.empty((len(index), self.width), np.float32) if out is None else out
         self.kernels.features(table, self.layout, self._shape, x, index, threads, out)
         return out
 

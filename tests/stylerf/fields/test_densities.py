@@ -53,7 +53,7 @@ def test_density_and_its_gradient_equal_the_oracle(made):
     for chunks in (1, 2):
         to = buffers(chunks, len(made.values))
         made.backward(s, gradients, to)
-        fixed = made.groups()[0][0]  # what stands for blocks not kept never learns: asked for, but no gradient is left
+        fixed = made.groups()[0][0]  # the shared block of unallocated ones never learns: its gradient is cleared
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
         close(added(to)[fixed:], values.grad[fixed:], 5e-6 if vm else 1e-5)
         assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own

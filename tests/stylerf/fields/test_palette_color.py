@@ -46,13 +46,13 @@ def written_out(color: PaletteColor, values: torch.Tensor, basis: torch.Tensor, 
     a, s1, s2, f1, f2, o = (lambda v, w=w, b=b: v @ w.T + b for w, b in nets)
     diffuse = 1 / (1 + torch.exp(-a(phi)))
     specular = torch.tanh(s2(torch.relu(s1(torch.cat([phi, basis], 1)))))
-    told = o(f2(torch.relu(f1(torch.cat([phi, diffuse], 1)))))
-    raw = torch.log1p(torch.exp(told[:, :m])) + 0.05
+    outputs = o(f2(torch.relu(f1(torch.cat([phi, diffuse], 1)))))
+    raw = torch.log1p(torch.exp(outputs[:, :m])) + 0.05
     total = specular
     for i in range(m):
-        offset = told[:, m + 3 * i : m + 3 * i + 3]
+        offset = outputs[:, m + 3 * i : m + 3 * i + 3]
         share = raw[:, i] / raw.sum(1)
-        total = total + (share * torch.log1p(torch.exp(told[:, -1])))[:, None] * (palette.reshape(m, 3)[i] + offset)
+        total = total + (share * torch.log1p(torch.exp(outputs[:, -1])))[:, None] * (palette.reshape(m, 3)[i] + offset)
     return total.clamp(0, 1)
 
 

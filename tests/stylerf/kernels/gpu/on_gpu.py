@@ -22,8 +22,8 @@ def on_host(samples) -> Samples:
     return Samples(*(part.cpu().numpy() for part in parts))
 
 
-def brought_over(rendered, rays, device):
-    """What the CPU rendered as a DeviceField would have: samples packed, the room filled."""
+def packed_on_device(rendered, rays, device):
+    """What the CPU rendered as a GpuField would have: samples packed, the room filled."""
     from stylerf.fields.gpu.field import GpuRendered
     from stylerf.kernels.gpu.ray_samples import GpuSamples
 
@@ -78,5 +78,5 @@ def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, de
     ray_of = torch.full((n + spare,), 1 << 20, dtype=torch.int32, device=device)
     for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):
         to[:n] = torch.from_numpy(what).to(device)
-    told = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
-    return GpuSamples(*(torch.from_numpy(a).to(device) for a in told), **arrays, ray_of=ray_of)
+    given = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
+    return GpuSamples(*(torch.from_numpy(a).to(device) for a in given), **arrays, ray_of=ray_of)

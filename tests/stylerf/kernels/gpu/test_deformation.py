@@ -11,7 +11,7 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.deformation import displaced_cells
 from stylerf.rendering.rays import backward, render_rays
-from tests.stylerf.kernels.gpu.on_gpu import brought_over, by_oracle, device_rays
+from tests.stylerf.kernels.gpu.on_gpu import by_oracle, device_rays, packed_on_device
 from tests.stylerf.small import (
     SPACES,
     close,
@@ -35,7 +35,7 @@ def directions(count: int) -> np.ndarray:
 
 
 def loose(device, x: np.ndarray, sigma: np.ndarray | None = None):
-    """Samples at positions x [n, 3], one to a ray, as the device holds them; what lies beyond them is NaN."""
+    """Samples at positions x [n, 3], one to a ray, as the device holds them; what is beyond them is NaN."""
     from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     n = len(x)
@@ -124,7 +124,7 @@ def learned(kind: str, device, rays: int = 14):
     field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
     going = rays_into(SPACES[kind], rays, 4)
     cpu = render_rays(field, going, threads=1, weight_threshold=0.05)
-    rendered = brought_over(cpu, going, device)
+    rendered = packed_on_device(cpu, going, device)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
     return field, going, cpu, rendered, towards, grid_gradient(GpuField(field, device), rendered, towards)
 
@@ -155,7 +155,7 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
     from stylerf.fields.gpu.field import GpuField
 
     field, rays = field_of(SPACES["box"], 3, hash_color(5), 1 / 8), rays_into(SPACES["box"], 6, 4)
-    rendered = brought_over(render_rays(field, rays, threads=1), rays, device)
+    rendered = packed_on_device(render_rays(field, rays, threads=1), rays, device)
     field.displacement = np.zeros((3, 3, 3, 3), np.float32)
     towards = np.random.default_rng(7).normal(size=(6, 5)).astype(np.float32)
     exact = float64(field.displacement).requires_grad_()

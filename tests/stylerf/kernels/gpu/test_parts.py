@@ -38,11 +38,11 @@ def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(devi
 def test_processes_that_train_together_are_told_of_the_same_step(device):
     from stylerf.training.common.async_readback import BEHIND, AsyncReadback
 
-    told = AsyncReadback(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
+    readback = AsyncReadback(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
     for step in range(BEHIND + 4):
-        told.begin().fill_(step)
-        assert told.send(step) == (None if step < BEHIND else (step - BEHIND, step - BEHIND))
-    assert told.settle() == (BEHIND + 3, BEHIND + 3)
+        readback.begin().fill_(step)
+        assert readback.send(step) == (None if step < BEHIND else (step - BEHIND, step - BEHIND))
+    assert readback.settle() == (BEHIND + 3, BEHIND + 3)
 
 
 def test_a_gradient_of_nan_is_no_zero(device):
@@ -129,12 +129,12 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
     from stylerf.training.common import ray_dataset_gpu
     from stylerf.training.common.pixels import STRETCH, Pixels
 
-    plain, told = box_bank(5, 12), []
-    bank = RayDataset(plain.cameras, Pixels(plain.bytes, plain.channels, told.append))
-    told.clear()  # of the look at the alphas
+    plain, read = box_bank(5, 12), []
+    bank = RayDataset(plain.cameras, Pixels(plain.bytes, plain.channels, read.append))
+    read.clear()  # of the look at the alphas
     monkeypatch.setattr(ray_dataset_gpu, "AT_ONCE", 100)
     made = ray_dataset_gpu.GpuRayDataset(bank, device)
-    assert len(told) == -(-len(plain.bytes) // 100) and set(told) == {-(-100 // STRETCH)}
+    assert len(read) == -(-len(plain.bytes) // 100) and set(read) == {-(-100 // STRETCH)}
     assert np.array_equal(made.bytes.cpu(), plain.bytes)
     lit = plain.lit[np.arange(plain.lit.below(len(plain)))]
     assert len(lit) > 200 and np.array_equal(made.lit.cpu(), lit) and made.lit.dtype == torch.int32
