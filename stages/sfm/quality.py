@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from stages.sfm.silhouettes import OUTSIDE
 from stylerf.geometry.camera_conventions import from_colmap
-from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
+from stylerf.geometry.cameras import epipolar_distance, essential, largest_parallax
 
 # Two photos must match where at least this share of the points of each lies, in the other, among points that it sees:
 # under NEAR of the picture's diagonal and DEPTH of the distance away, from directions that differ by less than ANGLE

@@ -13,7 +13,7 @@ from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOR_CELLS, ArfConfig, DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.run.progress import Context
 from stages.run.training_loop import run_training
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays, with_surface_distance

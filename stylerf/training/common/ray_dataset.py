@@ -7,7 +7,7 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.cpu.pixel_rays import gather
+from stylerf.kernels.cpu.photos import gather
 from stylerf.srgb import codes_at
 from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels
 

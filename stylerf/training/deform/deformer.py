@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement_grid import (
+from stylerf.fields.deformation import (
+    Deformation,
     at_rest,
     displaced_occupancy,
     nearest_of,

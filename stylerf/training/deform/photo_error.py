@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.fields.marching import ScratchArena
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.ray_dataset import unhidden

@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
-from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.hash_grid import HashDensity
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp

@@ -4,14 +4,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import COLOR_KINDS, GpuField, GpuRendered
+from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.gpu.parts import COLOR_KINDS
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
-from stylerf.kernels.gpu.launch import GpuSamples
+from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import sent

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.color_map import ColorMap
+from stylerf.fields.radiance_field import ColorMap
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import match_colors, pixels_of
 

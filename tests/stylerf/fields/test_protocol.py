@@ -4,12 +4,13 @@ import inspect
 
 import pytest
 
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.protocol import ColorPart, DensityPart, Growing, Part
+from stylerf.fields.protocol import DensityPart, Growing, Part, RestorableColor
 from stylerf.fields.radiance_field import COLOR_KINDS, DENSITY_KINDS
 
-KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()] + [(kind, ColorPart) for kind in COLOR_KINDS.values()]
+KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()]
+KINDS += [(kind, RestorableColor) for kind in COLOR_KINDS.values()]
 
 
 def asked_of(protocol: type) -> dict[str, list[str]]:

@@ -58,11 +58,11 @@ def main() -> None:
         for capability in map(int, capabilities):
             source = ASTSource(function, signature, constants, attributes)
             made = triton.compile(source, target=GPUTarget("cuda", capability, 32), options=options)
-            told = {
+            row = {
                 "kernel": key.split(" ")[0], "constants": {k: str(v) for k, v in constants.items()},
                 "capability": capability, "shared": made.metadata.shared, "cubin": len(made.asm["cubin"]),
             }  # fmt: skip
-            print(json.dumps(told), flush=True)
+            print(json.dumps(row), flush=True)
 
 
 if __name__ == "__main__":

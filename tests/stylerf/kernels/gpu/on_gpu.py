@@ -11,7 +11,7 @@ from tests.stylerf.small import Packed, float64, oracle_pixels
 
 
 def device_rays(rays, device):
-    from stylerf.fields.gpu.field import GpuRays
+    from stylerf.kernels.gpu.ray_samples import GpuRays
 
     return GpuRays(*(torch.from_numpy(a).to(device) for a in (rays.origins, rays.directions, rays.jitter)))
 
@@ -22,10 +22,10 @@ def on_host(samples) -> Samples:
     return Samples(*(part.cpu().numpy() for part in parts))
 
 
-def brought_over(rendered, rays, device):
-    """What the CPU rendered as a DeviceField would have: samples packed, the room filled."""
+def packed_on_device(rendered, rays, device):
+    """What the CPU rendered as a GpuField would have: samples packed, the room filled."""
     from stylerf.fields.gpu.field import GpuRendered
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     packed = Packed.of(rendered.samples)
     counts = torch.bincount(packed.rays, minlength=len(rays.origins))
@@ -66,7 +66,7 @@ def gradients_of(made, rendered, gradients, near_scaling_distance: float = 0.0) 
 
 def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, device, spare: int = 5):
     """GpuSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     count, n = int(rays.max(initial=-1)) + 1, len(points)
     counts = np.bincount(rays, minlength=count)
@@ -78,5 +78,5 @@ def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, de
     ray_of = torch.full((n + spare,), 1 << 20, dtype=torch.int32, device=device)
     for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):
         to[:n] = torch.from_numpy(what).to(device)
-    told = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
-    return GpuSamples(*(torch.from_numpy(a).to(device) for a in told), **arrays, ray_of=ray_of)
+    given = (ends - counts, ends, counts.astype(np.int32), largest, np.array([n]))
+    return GpuSamples(*(torch.from_numpy(a).to(device) for a in given), **arrays, ray_of=ray_of)

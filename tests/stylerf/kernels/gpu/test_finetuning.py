@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.color_map import ColorMap
+from stylerf.fields.radiance_field import ColorMap
 from stylerf.fields.region_color import RegionColor
 from stylerf.training.backends import finetune_engine
 from stylerf.training.finetune.engine import FineTuneSettings
@@ -83,8 +83,8 @@ def test_chosen_pixels_become_the_cpus_rays(bank, device):
 
 @pytest.mark.parametrize(("edited_rays", "depth_scale"), [(5, 0.3), (5, 0.0), (0, 0.3), (9, 0.3)])
 def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, device):
-    from stylerf.kernels.gpu import launch_edit
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu import launch
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     generator, level = torch.Generator().manual_seed(1), 0.7
     out, wanted = (torch.rand(9, n, generator=generator) for n in (5, 4))
@@ -100,13 +100,13 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
         *(t.to(device) for t in (starts, ends, counts)), nothing, torch.zeros(1), *[nothing] * 6
     )  # fmt: skip
     sums = torch.zeros(5, device=device)
-    found = launch_edit.tuning_loss(
+    found = launch.tuning_loss(
         out.to(device), wanted.to(device), depth.to(device), samples, level, 0.2, depth_scale, sums
     )
     exact = out.double().requires_grad_()
     shown = exact[:, :3] + (1 - exact[:, 3:4]) * level
-    asked = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * level
-    squares = (shown - asked).square().sum(1) * ~lost
+    expected_colors = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * level
+    squares = (shown - expected_colors).square().sum(1) * ~lost
     off = (exact[:edited_rays, 4] / depth - 1) * ~lost[:edited_rays]
     off = off.square().sum() if depth_scale > 0 else off.sum() * 0
     (0.1 * squares.sum() + 0.5 * depth_scale * off).backward()
@@ -127,15 +127,15 @@ CASES = {
 def test_a_step_learns_the_gradient_that_the_cpu_finds(case, bank, device):
     both = [tuner(bank, where, **CASES[case]) for where in (None, device)]
     learned = [gradients_taken(made) for made in both]
-    told = [(made.step(), made.engine.settle())[1] for made in both]
+    losses = [(made.step(), made.engine.settle())[1] for made in both]
     assert len(learned[0]) == len(learned[1]) == (2 if "density" in case else 1)
     for theirs, ours in zip(*learned):
         assert np.abs(theirs).max() > 0
         close(ours, theirs, 5e-5)
-    assert told[0].keys() == told[1].keys() == {"outside", "inside", "depth"}
-    for name, value in told[0].items():
-        assert told[1][name] == pytest.approx(value, rel=1e-4)
-    assert (told[0]["depth"] > 0) == ("density" in case)
+    assert losses[0].keys() == losses[1].keys() == {"outside", "inside", "depth"}
+    for name, value in losses[0].items():
+        assert losses[1][name] == pytest.approx(value, rel=1e-4)
+    assert (losses[0]["depth"] > 0) == ("density" in case)
 
 
 def agree(values: np.ndarray, expected: np.ndarray) -> None:

@@ -33,7 +33,7 @@ def points(count: int = 60) -> np.ndarray:
     return x
 
 
-def walked(device, count: int = 60):
+def packed(device, count: int = 60):
     """Samples at points(), of uneven rays of which the third is empty; some have no weight."""
     generator = np.random.default_rng(1)
     rays = np.sort(generator.choice([0, 1, 3, 4, 5, 6], count)).astype(np.int32)
@@ -44,7 +44,7 @@ def walked(device, count: int = 60):
 
 
 def on_device(part, device, half=False):
-    from stylerf.fields.gpu.field import COLOR_KINDS, DENSITY_KINDS
+    from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS
 
     return (DENSITY_KINDS if part.kind in DENSITIES else COLOR_KINDS)[part.kind](part, device, half)
 
@@ -54,7 +54,7 @@ def density(request):
     return DENSITIES[request.param](3)
 
 
-def taught_alone(part, found, expected, rounding: float) -> None:
+def only_learning_values_get_gradients(part, found, expected, rounding: float) -> None:
     """Gradients equal where the part learns; what never learns (blocks not kept) has none, whatever was asked there."""
     fixed = part.groups()[0][0]
     assert not found[:fixed].any()
@@ -67,7 +67,7 @@ def color_of(encoder: str, head: str):
 
 @pytest.mark.parametrize("count", [60, 1])
 def test_a_density_and_its_gradient_equal_the_oracle(density, count, device):
-    made, s, x = on_device(density, device), walked(device, count), points(count)
+    made, s, x = on_device(density, device), packed(device, count), points(count)
     values = float64(density.values).requires_grad_()
     expected = oracle_density(density, values, float64(x))
     close(made.sigma(torch.from_numpy(x).to(device)).cpu(), expected, 3e-6)
@@ -80,7 +80,7 @@ def test_a_density_and_its_gradient_equal_the_oracle(density, count, device):
     to = torch.zeros_like(made.values)
     for _ in range(2):
         made.backward(s, torch.from_numpy(gradients).to(device), to)
-    taught_alone(density, to.cpu() / 2, values.grad, 1e-5)
+    only_learning_values_get_gradients(density, to.cpu() / 2, values.grad, 1e-5)
     assert values.grad[-1] != 0 and (count == 1 or values.grad[:64].any())
 
 
@@ -94,7 +94,7 @@ def test_the_exponent_is_clamped_as_the_cpus(density, shift, limit, device):
 @pytest.mark.parametrize(("encoder", "head", "count"), [*((*pair, 60) for pair in PAIRS), ("hash", "mlp", 1)])
 def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device):
     color = color_of(encoder, head)
-    made, s, x = on_device(color, device), walked(device, count), float64(points(count))
+    made, s, x = on_device(color, device), packed(device, count), float64(points(count))
     ways = np.random.default_rng(3).normal(size=(RAYS, 3)).astype(np.float32)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     seen_from = torch.from_numpy(ways).to(device)
@@ -113,13 +113,13 @@ def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device)
     found[count:] = float("nan")
     for _ in range(2):
         made.backward(s, seen_from, found, poisoned, to)
-    taught_alone(color, to.cpu() / 2, values.grad, 2e-5)
+    only_learning_values_get_gradients(color, to.cpu() / 2, values.grad, 2e-5)
     length = color.features.length
     assert values.grad[:length].any() and bool(values.grad[length:].any()) == (color.head.length > 0)
 
 
 def test_a_sample_without_weight_has_no_color(device):
-    made, s = on_device(color_of("voxel", "linear"), device), walked(device)
+    made, s = on_device(color_of("voxel", "linear"), device), packed(device)
     found = made.visible_colors(s, torch.ones((RAYS, 3), device=device), 0.0)[:60, 0]
     assert torch.equal(found >= 0, s.weights[:60] > 0) and not bool((found >= 0).all())
 
