@@ -10,7 +10,7 @@ from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.artifacts.validity import sound
 from stylerf import validation
-from stylerf.editing.edit_views import EditView, check_pixels
+from stylerf.editing.extraction import EditView, check_pixels
 from stylerf.errors import InvalidValue
 
 DESCRIPTION, NUMBERS = "dataset.json", "dataset.safetensors"

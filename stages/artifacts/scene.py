@@ -16,7 +16,7 @@ from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, sources_of
 from stages.artifacts.validity import sound
 from stylerf import validation
-from stylerf.editing.edit_views import check_pixels
+from stylerf.editing.extraction import check_pixels
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.srgb import exposed

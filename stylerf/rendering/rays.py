@@ -17,7 +17,7 @@ from stylerf.kernels.cpu.compositing import (
     visible_weights,
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
-from stylerf.kernels.cpu.regions import zero_outside
+from stylerf.kernels.cpu.regions import weights_inside, zero_outside
 
 SAMPLES_PER_RAY = 512
 
@@ -131,3 +131,11 @@ def backward(
         )
         vertices = len(field.displacement)
         displacement_gradient(field.space, rendered.rays, samples, at_positions, vertices, displacement_to)
+
+
+def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarray:
+    """Return the sum of each ray's weights over samples in marked cells [s, s, s], [rays] float32."""
+    out = np.zeros(len(samples.ends), np.float32)
+    flat = np.ascontiguousarray(marked).reshape(-1)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
+    return out

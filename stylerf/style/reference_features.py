@@ -17,8 +17,18 @@ from torch import Tensor
 
 from stylerf.style.feature_extractor import FeatureExtractor, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
-from stylerf.style.losses import by_block, content_distance, nearest_neighbor_distance, position_weights
-from stylerf.style.style_objective import EVERYTHING, VARIATIONS, StyleWeights, Window, features_of, weighted_sum
+from stylerf.style.style_objective import (
+    EVERYTHING,
+    VARIATIONS,
+    StyleWeights,
+    Window,
+    by_block,
+    content_distance,
+    features_of,
+    nearest_neighbor_distance,
+    position_weights,
+    weighted_sum,
+)
 
 COARSE_PIXELS = 16  # side of a coarse cell, pixels (Ref-NPR: 1/16 of the image)
 UNRELATED = 0.6  # cosine distance over which a coarse match is ignored (Ref-NPR)

@@ -78,8 +78,7 @@ def finetune_engine(device: Device) -> Callable:
 def deform_backend(device: Device) -> tuple[Callable, Callable]:
     """Return the constructors of deformer and photo error; see DeformationFitter."""
     if device is None:
-        from stylerf.training.deform.deformer import Deformer
-        from stylerf.training.deform.photo_error import PhotoError
+        from stylerf.training.deform.deformer import Deformer, PhotoError
 
         return Deformer, PhotoError
     from stylerf.training.deform.deformer_gpu import GpuDeformer, GpuPhotoError

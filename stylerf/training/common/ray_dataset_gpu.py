@@ -10,8 +10,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.field import GpuRays
 from stylerf.kernels.gpu import launch, launch_edit
-from stylerf.training.common.pixels import STRETCH
-from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
+from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, RayDataset
 
 AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the device
 

@@ -10,10 +10,8 @@ import numpy as np
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.training.common.pixels import psnr_from_mse
-from stylerf.training.common.ray_dataset import RayDataset, shown_rays
-from stylerf.training.deform.deformer import Deformer
-from stylerf.training.deform.photo_error import PhotoError
+from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
+from stylerf.training.deform.deformer import Deformer, PhotoError
 
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps

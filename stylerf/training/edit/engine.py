@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import DEGREE, PaletteModule
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.common.adam import Adam

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import DEGREE, PaletteModule
 from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.memory import free_on

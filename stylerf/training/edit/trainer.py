@@ -15,8 +15,8 @@ from torch import Tensor
 
 from stylerf import validation
 from stylerf.editing import palette_losses
-from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_losses import EditWeights, Neighbors
+from stylerf.editing.extraction import EditView
+from stylerf.editing.palette_losses import EditWeights, Neighbors, figures_of, kept_colors, shares_of
 from stylerf.editing.palette_module import (
     MOST_COLORS,
     Mixture,
@@ -25,7 +25,6 @@ from stylerf.editing.palette_module import (
     clustered_palette,
     random_palette,
 )
-from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
 from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor

@@ -8,8 +8,7 @@ before. What the views do not miss stays away, and makes every later step cheape
 import math
 from dataclasses import replace
 
-from stylerf.training.fit.capacity_levels import CapacityLevel, Kinds
-from stylerf.training.fit.settings import FitSettings, FitState, Trial
+from stylerf.training.fit.settings import CapacityLevel, FitSettings, FitState, Kinds, Trial
 
 MIN_STEPS_PER_LEVEL = 100
 # Length of a pruning's trial: fraction of the budget, within these numbers of steps. A level, too, gets at least

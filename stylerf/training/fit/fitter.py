@@ -20,14 +20,12 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.common.adam import SMOOTH_EVERY
-from stylerf.training.common.pixels import psnr_from_mse
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, shown_rays
-from stylerf.training.fit.capacity_levels import CapacityLevel, capacity_at, first_parts
+from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine, Engine, background_of, over, target
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
-from stylerf.training.fit.settings import GROW, FitSettings, FitState
+from stylerf.training.fit.settings import GROW, CapacityLevel, FitSettings, FitState, capacity_at, first_parts
 from stylerf.training.fit.visual_hull import clear_cells
 
 EXPOSURE_FROM = 0.1  # of the budget; before, a field is brighter or darker than its photos for other reasons

@@ -17,8 +17,8 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_head import Parts
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.training.stylize.method import StyleMethod
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
+from stylerf.training.stylize.trainer import StyleMethod
 
 SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is extracted from
 FIGURE_VIEWS = 10  # that figures are taken of, as those of local edits

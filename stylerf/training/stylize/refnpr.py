@@ -1,7 +1,7 @@
 """Stylize a scene after one or a few stylized views of it (Ref-NPR, Zhang et al. 2023).
 
     refit       the new color learns the photos
-    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_optimization.py)
+    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_stylization.py)
     style       in each step, colors of the reference on its own rays and on rays of other views that see the same
                 surface (rendering/ray_registration.py), and one view by its correspondences with the reference
                 (style/reference_features.py); in the last quarter correspondences are sought between renders
@@ -18,15 +18,13 @@ import torch
 from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import SOLID, SeenPoints, points_of, registered, sampled_at
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_optimization import ImageOptimization
+from stylerf.style.image_stylization import ImageOptimization
 from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective
 from stylerf.style.style_objective import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.stylize.arf import ViewStep
-from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
-from stylerf.training.stylize.method import StyleMethod
-from stylerf.training.stylize.scene import CONTENT, PhaseBudget, StyledScene
-from stylerf.training.stylize.view_loss import ImageLoss, ViewLoss
+from stylerf.training.stylize.arf import ImageLoss, ViewLoss, ViewStep
+from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match
+from stylerf.training.stylize.trainer import StyleMethod
 
 LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
 REFERENCE_SHARE = 1 / 3  # of the budget, that making references may take

@@ -14,10 +14,10 @@ import time
 import numpy as np
 
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_optimization import painted
-from stylerf.training.stylize.method import StyleMethod
+from stylerf.style.image_stylization import painted
+from stylerf.training.stylize.arf import ViewLoss
 from stylerf.training.stylize.scene import StyledScene
-from stylerf.training.stylize.view_loss import ViewLoss
+from stylerf.training.stylize.trainer import StyleMethod
 
 
 class Snerf(StyleMethod):

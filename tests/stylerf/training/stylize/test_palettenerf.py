@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import weight_variation
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor

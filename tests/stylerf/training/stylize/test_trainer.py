@@ -5,8 +5,7 @@ import pytest
 
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
-from stylerf.training.stylize.divergence_guard import KEEP_EVERY
-from stylerf.training.stylize.trainer import StylizationTrainer
+from stylerf.training.stylize.trainer import KEEP_EVERY, StylizationTrainer
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed
 from tests.stylerf.training.stylizing import arf
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from stylerf.errors import InvalidValue
-from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels, near_opaque
-from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.common.ray_dataset import STRETCH, LitPixels, Pixels, RayDataset, near_opaque
 from tests.stylerf.training.scenes import box_photo, dome
 
 
