@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from stylerf.editing.extraction import EditView
-from stylerf.editing.palette_module import PaletteModule
+from stylerf.editing.palette_module import PaletteEvaluator
 
 REFERENCE_PIXELS = 1e5  # pixels of a region at the resolutions for which the published weights were chosen
 
@@ -177,7 +177,7 @@ def some_of(views: list[EditView]) -> list[EditView]:
     return [views[at] for at in chosen]
 
 
-def shares_of(module: PaletteModule, views: list[EditView], chunks: int) -> np.ndarray:
+def shares_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> np.ndarray:
     """Return the mean weight [A] of each active color, over the pixels of a view and then over sampled views."""
     return np.asarray(np.mean([module.weights(view.x, chunks).mean(0) for view in some_of(views)], 0))
 
@@ -200,7 +200,7 @@ def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray
     return out
 
 
-def figures_of(module: PaletteModule, views: list[EditView], chunks: int) -> dict[str, Any]:
+def figures_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> dict[str, Any]:
     """Return metrics on sampled views as JSON: colors, mean weights, sparsity L_sp, palette TV, and PSNR (dB)."""
     errors, pixels = 0.0, 0
     sparse: list[float] = []

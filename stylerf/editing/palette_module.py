@@ -10,7 +10,7 @@ P: palette [colors, 3], sRGB, not clamped to 0..1. A: number of active colors. n
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -36,6 +36,43 @@ class Mixture:
     weights: Tensor
     offsets: Tensor
     colors: Tensor
+
+
+class PaletteEvaluator(Protocol):
+    """A palette module, to be evaluated: PaletteModule, or GpuPaletteModule."""
+
+    @property
+    def active(self) -> np.ndarray:
+        """[colors] bool."""
+
+    @property
+    def palette(self) -> np.ndarray:
+        """The active colors [A, 3], sRGB 0..1."""
+
+    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+        """Evaluate the module at cube points and unit directions [n, 3]; the result is on the CPU."""
+
+    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
+        """Return the weights [n, A] float32 at cube points [n, 3]."""
+
+    def colors(
+        self,
+        x: np.ndarray,
+        directions: np.ndarray,
+        edits: PaletteEdits | None = None,
+        transition: np.ndarray | None = None,
+        chunks: int = 1,
+    ) -> np.ndarray:
+        """Return colors [n, 3] float32 in 0..1, after `edits` if given.
+
+        Args:
+            x: Cube points [n, 3].
+            directions: Unit [n, 3].
+            edits: Of palette and weights.
+            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
+                P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
+            chunks: Threads.
+        """
 
 
 class PaletteModule:
@@ -132,7 +169,6 @@ class PaletteModule:
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
-        """Evaluate the module at cube points and unit directions [n, 3], in parts of bounded memory."""
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -143,7 +179,6 @@ class PaletteModule:
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        """Return the weights [n, A] float32 at cube points [n, 3]."""
         return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
 
     def colors(
@@ -154,16 +189,6 @@ class PaletteModule:
         transition: np.ndarray | None = None,
         chunks: int = 1,
     ) -> np.ndarray:
-        """Return colors [n, 3] float32 in 0..1, after `edits` if given.
-
-        Args:
-            x: Cube points [n, 3].
-            directions: Unit [n, 3].
-            edits: Of palette and weights.
-            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
-                P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
-            chunks: Threads.
-        """
         return self.edited(self.mixture(x, directions, chunks), edits, transition)
 
     def edited(
@@ -176,11 +201,9 @@ class PaletteModule:
         palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
         weights, offsets = found.weights.numpy(), found.offsets.numpy()
         new_palette, new_weights = edits.palette(palette), edits.weights(weights)
-        own = (
-            np.zeros((len(weights), 1), np.float32)
-            if transition is None
-            else np.asarray(transition, np.float32)[:, None]
-        )
+        own = np.zeros((len(weights), 1), np.float32)
+        if transition is not None:
+            own = np.asarray(transition, np.float32)[:, None]
         mixed = own * weights + (1 - own) * new_weights
         out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
         return np.clip(out, 0, 1).astype(np.float32)

@@ -15,8 +15,7 @@ import torch
 if TYPE_CHECKING:
     import numpy as np
 
-    from stylerf.editing.palette_module import PaletteModule
-    from stylerf.editing.palette_module_gpu import GpuPaletteModule
+    from stylerf.editing.palette_module import PaletteEvaluator, PaletteModule
     from stylerf.fields.radiance_field import RadianceField
     from stylerf.geometry.cameras import Camera
     from stylerf.training.stylize.scene import StyleBackend
@@ -46,7 +45,7 @@ def edit_engine(device: Device) -> Callable:
     return functools.partial(GpuEditEngine, device=device)
 
 
-def palette_module(device: Device, module: PaletteModule) -> PaletteModule | GpuPaletteModule:
+def palette_module(device: Device, module: PaletteModule) -> PaletteEvaluator:
     """A trained palette module, to be evaluated on the device."""
     if device is None:
         return module

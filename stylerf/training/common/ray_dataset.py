@@ -89,7 +89,9 @@ def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
     return np.concatenate([rgb, np.ones_like(colors[:, 3:])], 1)
 
 
-def shown_rays(origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> tuple[np.ndarray, ...]:
+def shown_rays(
+    origins: np.ndarray, directions: np.ndarray, colors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The rays [n] that are not masked, made opaque; all if every one is masked."""
     shown = colors[:, 3] > HIDDEN
     shown = shown if shown.any() else np.ones_like(shown)
@@ -144,7 +146,7 @@ class RayDataset:
         among: int | None = None,
         lit_share: float = 0.9,
         part: slice = slice(None),
-    ):
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw `count` random rays of the first `among` views, and compute those of `part`.
 
         Returns:
@@ -173,24 +175,12 @@ class RayDataset:
         views = np.searchsorted(self._ends, index, side="right")
         return views, index - (self._ends[views] - self.sizes[views])
 
-    def at(self, views: np.ndarray, pixels: np.ndarray):
+    def at(self, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colors = np.empty((n, 4), np.float32)
-        gather(
-            views,
-            pixels,
-            self.widths,
-            self.intrinsics,
-            self.poses,
-            self.starts,
-            self.bytes,
-            self.channels,
-            self.codes,
-            origins,
-            directions,
-            colors,
-        )
+        cameras, photos = (self.widths, self.intrinsics, self.poses), (self.starts, self.bytes, self.channels)
+        gather(views, pixels, *cameras, *photos, self.codes, origins, directions, colors)
         self.read(n)
         return origins, directions, colors

@@ -60,7 +60,9 @@ class GpuRayDataset:
 
     def _near_objects(self, dataset: RayDataset) -> Tensor:
         """The pixels near objects as an int32 list, which the device draws from; the dataset stores runs."""
-        count = 0 if dataset.lit is None else dataset.lit.below(len(dataset))
+        if dataset.lit is None:
+            return torch.zeros(1, dtype=torch.int32, device=self.device)
+        count = dataset.lit.below(len(dataset))
         there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
         for at in range(0, count, AT_ONCE):
             part = dataset.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)

@@ -4,6 +4,9 @@ Rays read a grid of displacements; gradients go to the grid's vertices, and from
 vertices near something matter: the network is evaluated some tens of thousands of times per step, not per sample.
 """
 
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -24,20 +27,26 @@ from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.ray_dataset import unhidden
+
+if TYPE_CHECKING:
+    from stylerf.training.common.adam_gpu import GpuAdam
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
+Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 
 
-class Deformer:
+class GridDeformer(ABC, Generic[Buffer]):
     """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
     The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
-    as the nearest of these. gradient_clip: of the network, see Adam. gradients [threads, 3 vertices^3]: where
-    backward() adds dL/dD.
+    as the nearest of these. gradient_clip: of the network, see Adam. gradients: where backward() adds dL/dD.
     """
+
+    gradients: Buffer
+    adam: "Adam | GpuAdam"
 
     def __init__(
         self,
@@ -62,46 +71,42 @@ class Deformer:
         self._encoded = self._there(deformation.encode(torch.from_numpy(places.astype(np.float32))))
         self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
         self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
-        field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
+        self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
         self._prepare(threads)
         self.bake()
         self.look()
 
-    # -- on the CPU; deformer_gpu.py overrides these ----------------------------------------------------------------
+    # -- where it trains --------------------------------------------------------------------------------------------
 
+    @abstractmethod
     def _there(self, tensor: Tensor) -> Tensor:
         """A host tensor on the network's device."""
-        return tensor
 
+    @abstractmethod
     def _prepare(self, threads: int) -> None:
-        """Create buffers and optimizer; the field has its grid."""
-        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
+        """Create `gradients` and `adam`; the field has its grid."""
 
+    @abstractmethod
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""
-        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
 
+    @abstractmethod
     def _write(self, moved: Tensor) -> None:
         """Write D [vertices^3, 3] to the grid that rays read."""
-        self.field.displacement.reshape(-1, 3)[:] = moved.numpy()
 
+    @abstractmethod
     def look(self) -> None:
         """Update the occupancy of the deformed field."""
-        # The next loss reports values that are not finite.
-        if not np.isfinite(self.field.displacement).all():
-            return
-        self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
 
+    @abstractmethod
     def _place(self, distances: np.ndarray) -> None:
         """Restore the deformed field's occupancy from a checkpoint."""
-        self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
-        self.field.occupancy.distances = distances.copy()
 
+    @abstractmethod
     def _number(self, size: Tensor) -> float:
-        """A number of this step."""
-        return float(size)
+        """A number of this step; on a GPU, of some steps before."""
 
+    @abstractmethod
     def collect(self) -> None:
         """Copy what was learned into `deformation` and `field`."""
 
@@ -158,20 +163,50 @@ class Deformer:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint."""
-        moments = {f"adam.{name}": array for name, array in self.adam.arrays().items()}
-        return {
-            "values": self.values(),
-            "taken": np.asarray([self.taken]),
-            "distances": self.field.occupancy.distances,
-            **moments,
-        }
+        values, taken = self.values(), np.asarray([self.taken])
+        own = {"values": values, "taken": taken, "distances": self.field.occupancy.distances}
+        return own | moments_of({"adam": self.adam})
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays()."""
-        self.adam.restore({name: arrays[f"adam.{name}"] for name in ("first", "second", "steps")})
+        restore_moments({"adam": self.adam}, arrays)
         self.taken = int(arrays["taken"][0])
         self._set(arrays["values"])
         self._place(arrays["distances"])
+
+
+class Deformer(GridDeformer[np.ndarray]):
+    """A deformer on the CPU. gradients: [threads, 3 vertices^3]."""
+
+    def _there(self, tensor: Tensor) -> Tensor:
+        return tensor
+
+    def _prepare(self, threads: int) -> None:
+        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
+
+    def _gathered(self) -> Tensor:
+        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
+
+    def _write(self, moved: Tensor) -> None:
+        self.grid.reshape(-1, 3)[:] = moved.numpy()
+
+    def look(self) -> None:
+        # The next loss reports values that are not finite.
+        if np.isfinite(self.grid).all():
+            self.field.occupancy = displaced_occupancy(self.rest, self.grid)
+
+    def _place(self, distances: np.ndarray) -> None:
+        self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
+        self.field.occupancy.distances = distances.copy()
+
+    def _number(self, size: Tensor) -> float:
+        return float(size)
+
+    def collect(self) -> None: ...
+
+
+AnyDeformer = GridDeformer[np.ndarray] | GridDeformer[Tensor]
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
@@ -193,18 +228,30 @@ def random_rays(cameras: list[Camera], count: int, near: float, generator: np.ra
     return Rays.of(np.concatenate(origins), np.concatenate(directions), near)
 
 
-class PhotoError:
-    """Mean squared error of a deforming field's rays, and its gradient.
+class RayError(Protocol):
+    """Mean squared error of a deforming field's rays, and its gradient."""
 
-    background: gray level behind the field. weight_threshold: see render_rays.
-    """
+    def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
+        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
+
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
+        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error.
+
+        On a GPU, that of some steps before.
+        """
+
+
+class PhotoError:
+    """RayError on the CPU. background: gray level behind the field. weight_threshold: see render_rays."""
 
     def __init__(self, deformer: Deformer, background: float, weight_threshold: float, threads: int) -> None:
         self.deformer, self.background, self.threads = deformer, np.float32(background), threads
         self.weight_threshold = weight_threshold
         self._memory = ScratchArena()
 
-    def _rendered(self, origins, directions, colors, jitter=None) -> tuple[Rendered, np.ndarray]:
+    def _rendered(
+        self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray | None = None
+    ) -> tuple[Rendered, np.ndarray]:
         """Rendered rays, and their difference from the photos over the background."""
         field, back = self.deformer.field, self.background
         rays = Rays.of(origins, directions, field.space.near, jitter)
@@ -217,11 +264,9 @@ class PhotoError:
         return rendered, found - target
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
-        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
         return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
-        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
         rendered, difference = self._rendered(origins, directions, colors, jitter)
         gradients = np.zeros_like(rendered.out)
         gradients[:, :3] = difference * np.float32(2 / difference.size)

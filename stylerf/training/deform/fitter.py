@@ -11,8 +11,9 @@ from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
-from stylerf.training.deform.deformer import Deformer, PhotoError
+from stylerf.training.deform.deformer import AnyDeformer, Deformer, PhotoError, RayError
 
+DeformBackend = tuple[Callable[..., AnyDeformer], Callable[..., RayError]]
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps
 
@@ -70,7 +71,7 @@ class DeformationFitter:
         seed: int,
         threads: int,
         held_out: int = 0,
-        backend: tuple[Callable[..., Deformer], Callable[..., PhotoError]] = (Deformer, PhotoError),
+        backend: DeformBackend = (Deformer, PhotoError),
     ) -> None:
         self.field, self.dataset, self.settings, self.seed = scene, dataset, settings, seed
         new_deformer, new_error = backend
@@ -83,7 +84,7 @@ class DeformationFitter:
         self._best, self._rest = deformation.values.copy(), deformation.values.copy()
         self.between_steps = True
 
-    def _fixed_rays(self, generator: np.random.Generator):
+    def _fixed_rays(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays of the held-out views; of all views if none is held out."""
         views = len(self.dataset.cameras)
         if self.among == views:

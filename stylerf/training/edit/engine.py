@@ -3,24 +3,30 @@
 The loop in trainer.py chooses pixels and computes losses with torch; an engine holds the module and takes the step.
 """
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from stylerf.editing.extraction import EditView
-from stylerf.editing.palette_module import DEGREE, PaletteModule
+from stylerf.editing.palette_module import DEGREE, PaletteEvaluator, PaletteModule
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 
 
 class EditEngine(Protocol):
-    """device: of the tensors. kept: indices of the active colors there, or None. evaluator: the present module."""
+    """Takes the steps of an edit, and holds its module. device: of the tensors."""
 
     device: torch.device
-    kept: Tensor | None
-    evaluator: Any
+
+    @property
+    def kept(self) -> Tensor | None:
+        """Indices of the active colors, if they are on the device."""
+
+    @property
+    def evaluator(self) -> PaletteEvaluator:
+        """The present module."""
 
     def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
         """Features, harmonics [n, 9] and photo colors [n, 3] of pixels `rows` [n] of view `at`.
@@ -31,8 +37,8 @@ class EditEngine(Protocol):
     def leaf(self) -> Tensor:
         """A copy of the module's `values` that requires gradients."""
 
-    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        """Step both optimizers, with the gradients of `values` and of the table."""
+    def step(self, gradient: Tensor, rate: float, table_rate: float) -> None:
+        """Step both optimizers, with the gradient of the leaf and that of the table."""
 
     def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
         """Parts of a loss as numbers. A GPU returns those of the newest step that has finished, none at first."""
@@ -44,7 +50,7 @@ class EditEngine(Protocol):
         """Copy what was learned into the module's own arrays."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
+        """The optimizers' moments, by name; the next step may overwrite them."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         """Resume from the module's present arrays and moments()."""
@@ -59,7 +65,8 @@ def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
 class CpuEditEngine:
     """Numba kernels on `threads` threads; the same seed gives the same bits."""
 
-    device, kept = torch.device("cpu"), None
+    device = torch.device("cpu")
+    kept: Tensor | None = None
 
     def __init__(self, views: list[EditView], module: PaletteModule, threads: int) -> None:
         self.views, self.evaluator = views, module
@@ -77,8 +84,8 @@ class CpuEditEngine:
     def leaf(self) -> Tensor:
         return self.evaluator.leaf()
 
-    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        self.networks.gradients[0] += values.grad.numpy()
+    def step(self, gradient: Tensor, rate: float, table_rate: float) -> None:
+        self.networks.gradients[0] += gradient.numpy()
         self.networks.step(rate)
         self.table.step(table_rate)
 
@@ -92,9 +99,7 @@ class CpuEditEngine:
     def collect(self) -> None: ...
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("table", self.table), ("networks", self.networks)
-        return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"table": self.table, "networks": self.networks})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        for name, adam in (("table", self.table), ("networks", self.networks)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"table": self.table, "networks": self.networks}, moments)

@@ -8,12 +8,13 @@ from typing import Protocol
 
 import numpy as np
 
+from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
@@ -68,9 +69,11 @@ class FineTuneBatch:
 
 
 class FineTuneEngine(Protocol):
-    """field: the present field, its arrays up to date."""
+    """Takes the steps of a fine-tuning, and holds its field."""
 
-    field: RadianceField
+    @property
+    def field(self) -> RadianceField:
+        """The present field, its arrays up to date."""
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
         """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
@@ -82,7 +85,7 @@ class FineTuneEngine(Protocol):
         """Wait for the last step; its errors."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
+        """The optimizers' moments, by name; the next step may overwrite them."""
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         """Resume from the field's present arrays and moments()."""
@@ -139,33 +142,28 @@ class CpuFineTuneEngine:
         within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
-        self._step(batch, moving)
+        for part, adam, factor in self._trained():
+            if batch.smoothness > 0 and self.group.first:
+                part.smooth(batch.smoothness, adam.gradients[0])
+            self.group.add_gradients(adam.gradients)
+            adam.step(batch.rate * factor)
         squares = np.square(difference).mean(1)
         sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
         self.group.add(sums)
         self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
         return self._last
 
-    def _step(self, batch: FineTuneBatch, moving: bool) -> None:
-        """Step both optimizers, if the density learns, with the gradients of all processes."""
-        if batch.smoothness > 0 and self.group.first:
-            self.field.color.smooth(batch.smoothness, self.color_adam.gradients[0])
-            if moving:
-                self.field.density.smooth(batch.smoothness, self.density_adam.gradients[0])
-        self.group.add_gradients(self.color_adam.gradients)
-        if moving:
-            self.group.add_gradients(self.density_adam.gradients)
-        self.color_adam.step(batch.rate)
-        if moving:
-            self.density_adam.step(batch.rate * self.settings.density_factor)
+    def _trained(self) -> list[tuple[Part, Adam, float]]:
+        """(part, its optimizer, its rate over that of the colors) of what learns."""
+        color, density = (self.field.color, self.color_adam, 1.0), (self.field.density, self.density_adam)
+        factor = self.settings.density_factor
+        return [color, (*density, factor)] if factor > 0 else [color]
 
     def settle(self) -> dict[str, float]:
         return self._last
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, moments)

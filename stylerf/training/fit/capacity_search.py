@@ -95,6 +95,12 @@ class CapacitySearch:
         """The present capacity."""
         return replace(self.settings.levels[self.state.level], **self.state.pruned)
 
+    @property
+    def trial(self) -> Trial:
+        """The change on trial; to be asked for only while there is one."""
+        assert self.state.trial is not None
+        return self.state.trial
+
     def name(self, level: CapacityLevel) -> str:
         return named(level, self.settings.kinds, self.settings)
 
@@ -181,7 +187,7 @@ class CapacitySearch:
         After a few hundred of very many steps a level shows little, and noise may hide it: none is dropped that has had
         less than TRIAL_SHARE of the budget.
         """
-        trial = self.state.trial
+        trial = self.trial
         until = min(trial.began_at + TRIAL_SHARE, self.settings.held_out_until)
         if not trial.grows or progress >= until or self._gained(quality, parameters):
             return False
@@ -190,19 +196,21 @@ class CapacitySearch:
 
     def _gained(self, quality: float, parameters: int) -> bool:
         """Whether the level on trial has gained enough; one that is no larger need gain nothing."""
-        trial, settings = self.state.trial, self.settings
+        trial, settings = self.trial, self.settings
         required = settings.min_gain if parameters > trial.parameters else 0.0
         return quality - trial.before >= required or settings.force_growth
 
     def hopeless(self, quality: float) -> bool:
         """Whether a pruning, just made, has lost more than it can recover."""
-        trial = self.state.trial
+        trial = self.trial
         bound = HOPELESS_RANKS if trial.what in OF_RANKS else HOPELESS
         return not min(trial.before, ROUNDING_PSNR) - quality <= bound  # written so that NaN is hopeless
 
     def enough(self, quality: float) -> bool:
         """Whether the views lose almost nothing by the pruning on trial."""
-        return quality >= min(self.state.unpruned, ROUNDING_PSNR) - self.settings.min_gain
+        unpruned = self.state.unpruned
+        assert unpruned is not None  # since the pruning began
+        return quality >= min(unpruned, ROUNDING_PSNR) - self.settings.min_gain
 
     @property
     def rate(self) -> float:
@@ -231,7 +239,7 @@ class CapacitySearch:
 
     def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
         """End the trial: whether the change is kept, and the reason. parameters: of the field on trial."""
-        trial, old, new = self.state.trial, self.name(self.state.trial.level), self.name(self.level)
+        trial, old, new = self.trial, self.name(self.trial.level), self.name(self.level)
         gain = quality - trial.before
         if trial.grows:
             kept = self._gained(quality, parameters)
@@ -260,7 +268,7 @@ class CapacitySearch:
 
     def end(self, kept: bool) -> None:
         """End the trial; unless the change is kept, restore the capacity before it."""
-        state, trial = self.state, self.state.trial
+        state, trial = self.state, self.trial
         state.trial = None
         if kept:
             return

@@ -10,11 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
+from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, unhidden
 
@@ -49,14 +50,17 @@ class StepResult:
 
 
 class Engine(Protocol):
-    """field: the present field, its arrays up to date. most_rays: of a batch.
+    """Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all."""
 
-    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
-    """
+    most_rays: int  # of a batch
 
-    field: RadianceField
-    parameters: int
-    most_rays: int
+    @property
+    def field(self) -> RadianceField:
+        """The present field, its arrays up to date."""
+
+    @property
+    def parameters(self) -> int:
+        """Number of learnable values; does not wait for a GPU."""
 
     def adopt(self, field: RadianceField) -> None:
         """Train this field from now on; moments are zero, except of a part that is the same object as before."""
@@ -149,25 +153,19 @@ class CpuEngine:
         group: ProcessGroup = ALONE,
         gradient_clip: float = 0.0,
     ) -> None:
-        self.dataset, self.seed, self.threads, self.group, self.gradient_clip = (
-            dataset,
-            seed,
-            threads,
-            group,
-            gradient_clip,
-        )
-        self.density_adam = self.color_adam = None
+        self.dataset, self.seed, self.threads, self.group = dataset, seed, threads, group
+        self.gradient_clip, self.field = gradient_clip, field
+        self.density_adam, self.color_adam = self._new_adam(field.density), self._new_adam(field.color)
         self._memory = ScratchArena()
-        self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
         self.field = field
-        self.density_adam = self._adam_of(field.density, self.density_adam)
-        self.color_adam = self._adam_of(field.color, self.color_adam)
+        if self.density_adam.values is not field.density.values:
+            self.density_adam = self._new_adam(field.density)
+        if self.color_adam.values is not field.color.values:
+            self.color_adam = self._new_adam(field.color)
 
-    def _adam_of(self, part, before: Adam | None) -> Adam:
-        if before is not None and before.values is part.values:
-            return before
+    def _new_adam(self, part: Part) -> Adam:
         return Adam(part.values, part.groups(), self.threads, self.gradient_clip)
 
     @property
@@ -184,26 +182,23 @@ class CpuEngine:
         origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
-        error, samples_per_ray = 0.0, 0
-        for part in parts_of(0, len(origins), batch.parts):
-            rays = Rays.of(origins[part], directions[part], near, jitter[part])
-            squares, samples = self._learn_part(batch, rays, colors[part], background[part])
-            error += squares
-            samples_per_ray += samples
+        totals = np.zeros(2)  # squared error, samples
+        for some in parts_of(0, len(origins), batch.parts):
+            rays = Rays.of(origins[some], directions[some], near, jitter[some])
+            totals += self._learn_part(batch, rays, colors[some], background[some])
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients[0])
-        totals = np.array([error, samples_per_ray], np.float64)
         self.group.add(totals)
         for adam in (self.density_adam, self.color_adam):
             self.group.add_gradients(adam.gradients)
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
-        error, samples_per_ray = totals.tolist()
-        return StepResult(error / (3 * count), samples_per_ray / count)
+        error, samples = totals.tolist()
+        return StepResult(error / (3 * count), samples / count)
 
-    def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
+    def _learn_part(self, batch: Batch, rays: Rays, colors: np.ndarray, back: np.ndarray) -> tuple[float, int]:
         """Add the gradients of some rays of a batch; the sum of their squared errors, and the number of samples."""
         count = batch.rays
         rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
@@ -247,12 +242,10 @@ class CpuEngine:
             self.group.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
 
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float

@@ -2,17 +2,30 @@
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from stylerf.errors import InvalidValue
 from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_density import HashDensity
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import ColorPart, DensityPart, Growing
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
+
+
+@runtime_checkable
+class GrowingDensity(DensityPart, Growing, Protocol):
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "GrowingDensity": ...
+
+
+@runtime_checkable
+class GrowingColor(ColorPart, Growing, Protocol):
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "GrowingColor": ...
 
 
 @dataclass(frozen=True)
@@ -100,19 +113,31 @@ def capacity_at(
     )
 
 
-def first_parts(kinds: Kinds, capacity: Capacity, generator: np.random.Generator) -> tuple:
+def first_parts(
+    kinds: Kinds, capacity: Capacity, generator: np.random.Generator
+) -> tuple[GrowingDensity, GrowingColor]:
     """Initial (density, color)."""
-    degree = capacity.degree
+    density: GrowingDensity
     if kinds.density == "vm":
         density = VmDensity.create(capacity.size, capacity.density_rank, generator)
+    elif kinds.density == "hash":
+        density = HashDensity.create(capacity, generator)
     else:
-        density = DENSITIES[kinds.density].create(capacity, generator)
+        density = VoxelDensity.create(capacity, generator)
     if kinds.color == "vm" and kinds.head == "linear":
-        return density, VmColor.create(capacity.size, capacity.color_rank, degree, generator)
-    return density, EncodedColor.create(kinds.color, kinds.head, capacity, degree, generator)
+        return density, VmColor.create(capacity.size, capacity.color_rank, capacity.degree, generator)
+    return density, EncodedColor.create(kinds.color, kinds.head, capacity, capacity.degree, generator)
 
 
-DENSITIES = {"hash": HashDensity, "voxel": VoxelDensity}
+def grown_parts(
+    field: RadianceField, density: Capacity, color: Capacity, generator: np.random.Generator
+) -> tuple[GrowingDensity, GrowingColor]:
+    """(density, color) of a field at these capacities."""
+    if not (isinstance(field.density, GrowingDensity) and isinstance(field.color, GrowingColor)):
+        raise InvalidValue(
+            f"a field of {field.density.kind} density and {field.color.kind} color cannot change its size"
+        )
+    return field.density.grown(density, generator), field.color.grown(color, generator)
 
 
 GROW = "grow"
