@@ -62,13 +62,13 @@ class Optimizer(Protocol):
 
 def moments_of(optimizers: Mapping[str, Optimizer]) -> dict[str, np.ndarray]:
     """Arrays of a checkpoint of several optimizers, by name; the next step may overwrite them."""
-    return {f"{name}.{k}": v for name, adam in optimizers.items() for k, v in adam.arrays().items()}
+    return {f"{name}.{k}": v for name, one in optimizers.items() for k, v in one.arrays().items()}
 
 
 def restore_moments(optimizers: Mapping[str, Optimizer], arrays: Mapping[str, np.ndarray]) -> None:
     """From moments_of(), among other arrays."""
-    for name, adam in optimizers.items():
-        adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+    for name, one in optimizers.items():
+        one.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
 
 def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, steps: int) -> float:

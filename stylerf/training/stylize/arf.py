@@ -11,12 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.geometry import Record
 from stylerf.training.stylize.scene import CONTENT, PIXELS_AT_ONCE, StyledScene
+from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
@@ -31,8 +34,15 @@ class ViewLoss:
     """
 
     def __init__(
-        self, scene: StyledScene, extractor: FeatureExtractor, stride: int | None = None, around: int = 0
+        self,
+        scene: StyledScene[ImageStyleSettings],
+        extractor: FeatureExtractor,
+        stride: int | None = None,
+        around: int = 0,
     ) -> None:
+        if scene.problem.style_image is None:
+            raise InvalidValue("the style loss needs a style image")
+        self.style_image = scene.problem.style_image
         self.scene, self.extractor, self.around = scene, extractor, around
         self.device = extractor.input_scale.device
         s = scene.settings
@@ -55,15 +65,14 @@ class ViewLoss:
             self._content = self._new_cache()  # at another scale
             size = (scene.cameras[0].height, scene.cameras[0].width)
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
-            style_image = scene.problem.style_image
-            self._objective = OBJECTIVES[s.loss](self.extractor, style_image, size, *options, self.around)
+            self._objective = OBJECTIVES[s.loss](self.extractor, self.style_image, size, *options, self.around)
         return self._objective
 
     def content(self, view: int) -> Content | None:
         """Content of the view's photo; None if no weight asks for it."""
         return self._content[view] if self.scene.settings.weights.need_photo else None
 
-    def _new_cache(self) -> BoundedCache:
+    def _new_cache(self) -> BoundedCache[Content]:
         def content(view: int) -> Content:
             return self.objective.content_of(self.to_device(self.scene.photos[view]), self.windows[view])
 
@@ -100,7 +109,7 @@ class ViewStep:
 
     def __init__(
         self,
-        scene: StyledScene,
+        scene: StyledScene[ArfSettings],
         loss_of_view: Callable[[int], ImageLoss],
         to_device: Callable[[np.ndarray], Tensor],
     ) -> None:
@@ -131,7 +140,7 @@ class ViewStep:
         order = np.random.default_rng([scene.problem.seed, 3, epoch]).permutation(len(scene.shown))
         return scene.shown[int(order[at])]
 
-    def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | list | None]:
+    def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, Record | None]:
         """Premultiplied rgb of the whole view [h*w, 3], and the record of the selected pixels (None: render again)."""
         scene, settings = self.scene, self.scene.settings
         camera = scene.cameras[view]
@@ -159,8 +168,8 @@ class ViewStep:
             rgb = rgb + (1 - scene.geometry.alpha(view)[..., None]) * scene.background
         image = self.to_device(rgb).requires_grad_()
         loss, parts = self.loss_of_view(view)(image)
-        loss.backward()
-        return image.grad.permute(1, 2, 0).contiguous().cpu().numpy(), parts
+        (gradient,) = torch.autograd.grad(loss, image)
+        return gradient.permute(1, 2, 0).contiguous().cpu().numpy(), parts
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
@@ -171,10 +180,10 @@ class ViewStep:
         self.last_renders = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
 
 
-class Arf(StyleMethod):
+class Arf(StyleMethod[ArfSettings]):
     """ARF; with a deformation in the scene, DeSRF."""
 
-    def __init__(self, scene: StyledScene, extractor: FeatureExtractor) -> None:
+    def __init__(self, scene: StyledScene[ArfSettings], extractor: FeatureExtractor) -> None:
         super().__init__(scene)
         self.loss = ViewLoss(scene, extractor, around=0 if scene.deformer is None else AROUND)
         self.view_step = ViewStep(scene, self.loss.of_view, self.loss.to_device)
@@ -184,7 +193,7 @@ class Arf(StyleMethod):
         parts = self.view_step.learn(np.random.default_rng([scene.problem.seed, 4, step]))
         decay = settings.final_rate**scene.budget.progress
         scene.adam.step(settings.rate * decay)
-        if scene.deformer is not None:
+        if scene.deformer is not None and isinstance(settings, DesrfSettings):
             rate = settings.deform_rate * decay * min(1.0, (step + 1) / DEFORM_RAMP)
             parts["displacement"] = scene.deformer.step(rate, settings.displacement_weight)
         return parts

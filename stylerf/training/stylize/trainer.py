@@ -8,21 +8,21 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Generic
 
 import numpy as np
 
 from stylerf.errors import Diverged
-from stylerf.training.stylize.scene import StyledScene
+from stylerf.training.stylize.scene import Settings_co, StyledScene
 from stylerf.training.stylize.settings import StyleSettings, StyleState
 
 
-class StyleMethod:
+class StyleMethod(Generic[Settings_co]):
     """A method: its phases after the refit, and a step of each. The trainer holds one; `scene` is what it changes."""
 
     phases: tuple[str, ...] = ("style",)
 
-    def __init__(self, scene: StyledScene) -> None:
+    def __init__(self, scene: StyledScene[Settings_co]) -> None:
         self.scene = scene
 
     def refit_step(self) -> dict[str, float]:
@@ -55,17 +55,6 @@ def finite(arrays: dict[str, np.ndarray]) -> bool:
     return all(np.isfinite(values).all() for values in arrays.values())
 
 
-class Resumable(Protocol):
-    """What a guard can roll back."""
-
-    @property
-    def state(self) -> StyleState: ...
-
-    def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]: ...
-
-    def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None: ...
-
-
 class DivergenceGuard:
     """Keeps snapshots, in memory only: a resumed run can roll back no further than to where it was resumed.
 
@@ -81,18 +70,18 @@ class DivergenceGuard:
         rollbacks = state.counts.get("rollbacks", 0)
         return self.initial.slowed(rollbacks) if rollbacks else settings
 
-    def keep(self, trainer: Resumable) -> None:
+    def keep(self, trainer: "StylizationTrainer") -> None:
         """Take a snapshot every KEEP_EVERY steps, and at each phase's first step, if all arrays are finite."""
         state, kept = trainer.state, self._snapshot
         if not self.initial.rollbacks or (state.step % KEEP_EVERY and kept and kept[0].phase == state.phase):
             return
         _, arrays = trainer.checkpoint()
         if not finite(arrays):
-            return  # a gradient may have spoiled the values although the loss was finite
+            return  # a gradient may not be finite although the loss was
         at = StyleState(state.phase, state.step, state.seconds, list(state.curve), dict(state.counts))
         self._snapshot = at, {name: np.array(values, copy=True) for name, values in arrays.items()}
 
-    def roll_back(self, trainer: Resumable, parts: dict[str, float]) -> None:
+    def roll_back(self, trainer: "StylizationTrainer", parts: dict[str, float]) -> None:
         """Restore the last snapshot; its clock and its count of rollbacks go on.
 
         Raises:
