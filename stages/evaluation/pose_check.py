@@ -8,8 +8,7 @@ import numpy as np
 from stages.artifacts.scene import spread
 from stylerf.geometry.resampling import shrunk
 from stylerf.metrics.image_quality import shift_between
-from stylerf.training.common.ray_dataset import HIDDEN, STRETCH
-from stylerf.training.fit.engine import background_of, over, target
+from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, background_of, over, target
 from stylerf.training.fit.fitter import Fitter
 
 EVEN_VIEWS, WORST_VIEWS = 8, 3  # checked: views evenly spread, and those with the largest error

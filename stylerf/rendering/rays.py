@@ -125,7 +125,7 @@ def backward(
         if density_within is not None:
             zero_outside(density_within.reshape(-1), len(density_within), samples, threads, sigma_gradients)
         field.density.backward(samples, sigma_gradients, density_to)
-    if displacement_to is not None:
+    if displacement_to is not None and field.displacement is not None:
         at_positions = position_gradients(
             field.density, field.color, samples, rendered.basis, sigma_gradients, colors, color_gradients, threads
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
@@ -56,7 +57,8 @@ def render_view(
     """
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
-    inside = {name: np.empty(count, np.float32) for name in regions or {}}
+    marked = regions or {}
+    inside = {name: np.empty(count, np.float32) for name in marked}
     arena = ScratchArena()
     for at in range(0, count, rays_at_once):
         pixels = np.arange(at, min(at + rays_at_once, count))
@@ -73,7 +75,7 @@ def render_view(
         )
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
-            mask[pixels] = alpha_inside(regions[name], rendered.samples, threads)
+            mask[pixels] = alpha_inside(marked[name], rendered.samples, threads)
         on_rays(min(at + rays_at_once, count))
     return view_of(camera, out, inside)
 
@@ -111,9 +113,10 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
     """
     from stylerf.environment.matplotlib_defaults import colormaps
 
+    if (grid := field.displacement) is None:
+        raise InvalidValue("a field that is not displaced has no displacement to show")
     origins, directions = camera.rays()
     points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))
-    grid = field.displacement
     places = (points * (np.array(grid.shape[:3]) - 1)).T
     moved = np.stack([map_coordinates(grid[..., axis], places, order=1) for axis in range(3)], -1)
     far = np.linalg.norm(moved, axis=1).reshape(seen.alpha.shape) * (seen.alpha > 0.5)

@@ -142,11 +142,11 @@ class FeatureExtractor(nn.Module):
         return F.max_pool2d(hidden, 2, ceil_mode=self.architecture.pooling == "max-ceil")
 
 
-def blur_pool(hidden: Tensor, kernel: Tensor, padding: int = 2) -> Tensor:
-    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding."""
+def blur_pool(hidden: Tensor, kernel: Tensor) -> Tensor:
+    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding of 2."""
     channels = hidden.shape[1]
     weight = kernel.to(hidden.dtype).expand(channels, 1, *kernel.shape)
-    padded = F.pad(hidden, (padding,) * 4, mode="reflect")
+    padded = F.pad(hidden, (2, 2, 2, 2), mode="reflect")
     return F.conv2d(padded, weight, stride=2, groups=channels)
 
 

@@ -83,15 +83,10 @@ def gram_distance(features: Tensor, style_gram: Tensor, weights: Tensor | None =
     return (gram_matrix(features, weights) - style_gram).square()
 
 
-def squared_variation(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Return squared differences of horizontal [c, h, w-1] and vertical [c, h-1, w] neighbors."""
-    return (image[:, :, 1:] - image[:, :, :-1]).square(), (image[:, 1:] - image[:, :-1]).square()
-
-
 def image_variation(image: Tensor) -> Tensor:
     """Return ARF's total variation, a scalar: (mean dx^2 + mean dy^2) / 2 of an image [3, h, w]."""
-    horizontal, vertical = squared_variation(image)
-    return (horizontal.mean() + vertical.mean()) / 2
+    horizontal, vertical = image[:, :, 1:] - image[:, :, :-1], image[:, 1:] - image[:, :-1]
+    return (horizontal.square().mean() + vertical.square().mean()) / 2
 
 
 def diagonal_variation(image: Tensor) -> Tensor:

@@ -79,6 +79,24 @@ def near_opaque(alpha: np.ndarray) -> np.ndarray:
 HIDDEN = 0.5  # alpha up to which a photo of a capture is masked
 
 
+def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
+    """Background colors [count, 3] float32; `random` is white without a generator."""
+    if kind == "random" and generator is not None:
+        return generator.random((count, 3), dtype=np.float32)
+    level = 0.0 if kind in ("black", "none") else 1.0
+    return np.full((count, 3), level, np.float32)
+
+
+def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
+    """Composite premultiplied rgb over a background."""
+    return rgb + (1 - alpha) * background
+
+
+def target(colors: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
+    """Composite straight rgba over a background."""
+    return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
+
+
 def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
     """Opaque targets [n, 4] for rays of a field with an opaque background, from photos' straight rgba [n, 4].
 

@@ -28,7 +28,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
-from stylerf.training.common.ray_dataset import unhidden
+from stylerf.training.common.ray_dataset import over, target, unhidden
 
 if TYPE_CHECKING:
     from stylerf.training.common.adam_gpu import GpuAdam
@@ -257,11 +257,10 @@ class PhotoError:
         rays = Rays.of(origins, directions, field.space.near, jitter)
         threshold, arena = self.weight_threshold, self._memory.reset()
         rendered = render_rays(field, rays, threads=self.threads, weight_threshold=threshold, arena=arena)
-        found = rendered.out[:, :3] + (1 - rendered.out[:, 3:4]) * back
+        found = over(rendered.out[:, :3], rendered.out[:, 3:4], back)
         if field.opaque_background:
             colors = unhidden(colors, found)
-        target = colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * back
-        return rendered, found - target
+        return rendered, found - target(colors, back)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
         return float(np.square(self._rendered(origins, directions, colors)[1]).mean())

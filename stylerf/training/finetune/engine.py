@@ -16,7 +16,7 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, unhidden
+from stylerf.training.common.ray_dataset import RayDataset, over, target, unhidden
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,10 @@ class CpuFineTuneEngine:
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
         rendered = render_rays(field, rays, threads=self.threads, arena=self._memory.reset())
         out, level = rendered.out, np.float32(s.background)
-        found = out[:, :3] + (1 - out[:, 3:4]) * level
+        found = over(out[:, :3], out[:, 3:4], level)
         if field.opaque_background and self.dataset.channels == 4:
             colors = unhidden(colors, found)
-        difference = found - (colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * level)
+        difference = found - target(colors, level)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)

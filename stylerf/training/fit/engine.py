@@ -17,7 +17,7 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, unhidden
+from stylerf.training.common.ray_dataset import RayDataset, background_of, over, target, unhidden
 
 
 @dataclass(frozen=True)
@@ -96,24 +96,6 @@ class Engine(Protocol):
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
         """Compile every kernel that a step uses, on these scratch fields."""
-
-
-def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
-    """Background colors [count, 3] float32; `random` is white without a generator."""
-    if kind == "random" and generator is not None:
-        return generator.random((count, 3), dtype=np.float32)
-    level = 0.0 if kind in ("black", "none") else 1.0
-    return np.full((count, 3), level, np.float32)
-
-
-def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Composite premultiplied rgb over a background."""
-    return rgb + (1 - alpha) * background
-
-
-def target(colors: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Composite straight rgba over a background."""
-    return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:

@@ -23,9 +23,9 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.common.adam import SMOOTH_EVERY
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
+from stylerf.training.common.ray_dataset import RayDataset, background_of, over, psnr_from_mse, shown_rays, target
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
-from stylerf.training.fit.engine import Batch, CpuEngine, Engine, background_of, over, target
+from stylerf.training.fit.engine import Batch, CpuEngine, Engine
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
 from stylerf.training.fit.settings import (
     GROW,

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -20,12 +20,12 @@ from stylerf.geometry.space_warp import SpaceWarp
 
 @runtime_checkable
 class GrowingDensity(DensityPart, Growing, Protocol):
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "GrowingDensity": ...
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> Self: ...
 
 
 @runtime_checkable
 class GrowingColor(ColorPart, Growing, Protocol):
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "GrowingColor": ...
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> Self: ...
 
 
 @dataclass(frozen=True)
