@@ -221,15 +221,8 @@ def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndar
     spread = max(float(depth[shown].max() - depth[shown].min()), 1e-6) if shown.any() else 1.0
     zeta = np.zeros((*depth.shape, 2), np.float32)
     for axis in (0, 1):
-        first, last = (slice(None, -1), slice(1, None))
-        a = (first, slice(None)) if axis == 0 else (slice(None), first)
-        b = (last, slice(None)) if axis == 0 else (slice(None), last)
-        before, after = np.roll(sure, 1, axis), np.roll(sure, -1, axis)
-        if axis == 0:
-            before[0], after[-1] = 0, 0
-        else:
-            before[:, 0], after[:, -1] = 0, 0
-        run = before[a] * sure[a] * sure[b] * after[b]
-        step = np.abs(depth[a] - depth[b]) / spread * np.abs(colors[a] - colors[b]).sum(-1)
-        zeta[a][..., axis] = np.clip(run * step, 0, 1)
+        d, c, w = (np.moveaxis(values, axis, 0) for values in (depth, colors, sure))
+        w = np.pad(w, ((1, 1), (0, 0)))
+        step = np.abs(d[:-1] - d[1:]) / spread * np.abs(c[:-1] - c[1:]).sum(-1)
+        np.moveaxis(zeta[..., axis], axis, 0)[:-1] = np.clip(w[:-3] * w[1:-2] * w[2:-1] * w[3:] * step, 0, 1)
     return zeta.reshape(-1, 2)

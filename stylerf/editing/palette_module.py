@@ -260,9 +260,21 @@ def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count:
         total = apart.sum()
         chosen = generator.choice(len(colors), p=apart / total) if total > 0 else generator.integers(len(colors))
         centers = np.concatenate([centers, colors[chosen][None]])
+    centers, sizes = weighted_means(colors, np.ones(len(colors)), centers, rounds)
+    return centers[np.argsort(-sizes, kind="stable")].astype(np.float32)
+
+
+def weighted_means(
+    colors: np.ndarray, masses: np.ndarray, centers: np.ndarray, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Run k-means of colors [n, 3], weighted by masses [n], from centers [k, 3]; empty clusters keep their centers.
+
+    Returns:
+        The centers, and the masses [k] that the last of them are the means of.
+    """
     for _ in range(rounds):
         nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)
-        sizes = np.bincount(nearest, minlength=count)
-        sums = np.stack([np.bincount(nearest, colors[:, k], count) for k in range(3)], 1)
-        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centers)
-    return centers[np.argsort(-sizes, kind="stable")].astype(np.float32)
+        sizes = np.bincount(nearest, masses, len(centers))
+        sums = np.stack([np.bincount(nearest, masses * colors[:, a], len(centers)) for a in range(3)], 1)
+        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1e-12)[:, None], centers)
+    return centers, sizes

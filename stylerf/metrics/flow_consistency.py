@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.metrics.consistency import PixelDistance
+from stylerf.metrics.consistency import PixelDistance, differences
 from stylerf.metrics.optical_flow import check_flow, filled, occluded, sampled, visible
 
 IMPORTANCE = -20.0  # factor of the photometric error, from the authors' example
@@ -146,11 +146,7 @@ def _over(
 ) -> FlowConsistency:
     if not compared.any():
         return FlowConsistency(None, None, 0.0)
-    distance = None
-    if perceptual is not None:
-        patched = np.where(compared[..., None], warped, target).astype(np.float32)
-        distance = float(perceptual(patched, target.astype(np.float32))[compared].mean())
-    error = float(np.sqrt(((warped - target)[compared] ** 2).mean()))
+    error, distance = differences(warped, target, compared, perceptual)
     return FlowConsistency(error, distance, float(compared.sum() / selected.sum()))
 
 

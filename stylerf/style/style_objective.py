@@ -146,11 +146,28 @@ class Content:
         return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors))
 
 
-class StyleObjective:
-    """The loss of an image [3, h, w] for a style image whose features are computed once.
+class FeatureLoss:
+    """What losses on features share. All tensors are on the feature extractor's device.
 
-    All tensors are on the feature extractor's device. On a GPU it runs in bfloat16, and neighbors are searched in
-    float16; sums are float32.
+    On a GPU it runs in bfloat16, and neighbors are searched in float16; sums are float32.
+    """
+
+    def __init__(self, extractor: FeatureExtractor, weights: StyleWeights, scale: float, variation: str) -> None:
+        self.extractor, self.weights, self.scale = extractor, weights, scale
+        self.variation = VARIATIONS[variation]
+        self.device = extractor.input_scale.device
+        on_gpu = self.device.type == "cuda"
+        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
+
+    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
+        """Return features by block of a window of an image [3, h, w], at the feature scale."""
+        part = picture[:, *window]
+        small = resized(part, *feature_size(part.shape[1], part.shape[2], self.scale))
+        return by_block(self.extractor.layers, features(self.extractor, small[None], self.half))
+
+
+class StyleObjective(FeatureLoss):
+    """The loss of an image [3, h, w] for a style image whose features are computed once.
 
     Args:
         extractor: The layers whose features are matched.
@@ -180,12 +197,8 @@ class StyleObjective:
         variation: str = "squared",
         around: int = 0,
     ) -> None:
+        super().__init__(extractor, weights, scale, variation)
         self.around = around
-        self.variation = VARIATIONS[variation]
-        self.extractor, self.weights, self.scale = extractor, weights, scale
-        self.device = extractor.input_scale.device
-        on_gpu = self.device.type == "cuda"
-        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
         picture = style_picture(style_image, *size, scale=scale * style_scale).to(self.device)
         with torch.no_grad():
             found = by_block(extractor.layers, features(extractor, picture[None], self.half))
@@ -205,10 +218,6 @@ class StyleObjective:
             feature, self.style[block], weights, self.memory_mb, self.half is not None
         )
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
-
-    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Return features by block of a window of an image [3, h, w], at the feature scale."""
-        return features_of(self.extractor, picture[:, *window], self.scale, self.half)
 
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
@@ -243,15 +252,6 @@ class StyleObjective:
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
-
-
-def features_of(
-    extractor: FeatureExtractor, picture: Tensor, scale: float, half: torch.dtype | None
-) -> dict[str, Tensor]:
-    """Return features by block of an image [3, h, w], extracted at `scale`."""
-    height, width = picture.shape[1:]
-    small = resized(picture, *feature_size(height, width, scale))
-    return by_block(extractor.layers, features(extractor, small[None], half))
 
 
 def weighted_sum(weights: StyleWeights, parts: Mapping[str, Tensor]) -> Tensor:

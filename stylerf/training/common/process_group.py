@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,15 +23,19 @@ READING_WAIT = timedelta(seconds=10)
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
-class ProcessGroup(Protocol):
-    """This process among those that train together. first: whether it decides, writes and prints."""
+class ProcessGroup:
+    """This process among those that train together: the only one, or one of several (DistributedProcesses).
 
-    count: int
-    place: int
-    first: bool
+    first: whether it decides, writes and prints.
+    """
+
+    count: int = 1
+    place: int = 0
+    first: bool = True
 
     def own(self, count: int) -> slice:
         """This process's part of `count` rays, contiguous, in the order of the processes."""
+        return slice(0, count)
 
     def add(self, values: "np.ndarray | Tensor") -> None:
         """Replace values, on any device, by their sum over all processes."""
@@ -41,15 +45,18 @@ class ProcessGroup(Protocol):
 
     def of_first(self, value: float) -> float:
         """The first process's value."""
+        return value
 
     def take_first(self, values: "np.ndarray | Tensor") -> None:
         """Replace values by the first process's."""
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         """The first process's checkpoint."""
+        return saved
 
     def tell(self, text: str = "") -> str:
         """The first process's text; the others' own is ignored."""
+        return text
 
     def tell_fault(self, line: str) -> None:
         """Leave this process's fault for the first one to report, unless another came before."""
@@ -58,38 +65,10 @@ class ProcessGroup(Protocol):
         """Leave the group."""
 
 
-class SingleProcess:
-    """A single process."""
-
-    count, place, first = 1, 0, True
-
-    def own(self, count: int) -> slice:
-        return slice(0, count)
-
-    def add(self, values: "np.ndarray | Tensor") -> None: ...
-
-    def add_gradients(self, buffers: np.ndarray) -> None: ...
-
-    def of_first(self, value: float) -> float:
-        return value
-
-    def take_first(self, values: "np.ndarray | Tensor") -> None: ...
-
-    def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
-        return saved
-
-    def tell(self, text: str = "") -> str:
-        return text
-
-    def tell_fault(self, line: str) -> None: ...
-
-    def leave(self) -> None: ...
+ALONE = ProcessGroup()
 
 
-ALONE = SingleProcess()
-
-
-class DistributedProcesses:
+class DistributedProcesses(ProcessGroup):
     """Processes joined by torch.distributed, at the address that torchrun sets in the environment.
 
     Args:

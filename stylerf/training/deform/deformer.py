@@ -45,8 +45,10 @@ class GridDeformer(ABC, Generic[Buffer]):
     as the nearest of these. gradient_clip: of the network, see Adam. gradients: where backward() adds dL/dD.
     """
 
+    device = torch.device("cpu")  # of the network
     gradients: Buffer
     adam: "Adam | GpuAdam"
+    _grid: Tensor  # [vertices^3, 3], that rays read
 
     def __init__(
         self,
@@ -68,9 +70,9 @@ class GridDeformer(ABC, Generic[Buffer]):
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
-        self._encoded = self._there(deformation.encode(torch.from_numpy(places.astype(np.float32))))
-        self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
-        self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
+        self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32))).to(self.device)
+        self._nearest = torch.from_numpy(nearest_of(active, vertices)).to(self.device)
+        self._pairs = [pairs.to(self.device) for pairs in _pairs(active, vertices)]
         self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
         self._prepare(threads)
         self.bake()
@@ -79,20 +81,12 @@ class GridDeformer(ABC, Generic[Buffer]):
     # -- where it trains --------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def _there(self, tensor: Tensor) -> Tensor:
-        """A host tensor on the network's device."""
-
-    @abstractmethod
     def _prepare(self, threads: int) -> None:
-        """Create `gradients` and `adam`; the field has its grid."""
+        """Create `gradients`, `adam` and `_grid`; the field has its grid."""
 
     @abstractmethod
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""
-
-    @abstractmethod
-    def _write(self, moved: Tensor) -> None:
-        """Write D [vertices^3, 3] to the grid that rays read."""
 
     @abstractmethod
     def look(self) -> None:
@@ -116,7 +110,7 @@ class GridDeformer(ABC, Generic[Buffer]):
         """Evaluate the network and write the grid that rays read."""
         self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
         self._moved = self.deformation.network(self._encoded, self._values)
-        self._write(self._moved.detach()[self._nearest])
+        self._grid.copy_(self._moved.detach()[self._nearest])
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
         """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
@@ -178,18 +172,13 @@ class GridDeformer(ABC, Generic[Buffer]):
 class Deformer(GridDeformer[np.ndarray]):
     """A deformer on the CPU. gradients: [threads, 3 vertices^3]."""
 
-    def _there(self, tensor: Tensor) -> Tensor:
-        return tensor
-
     def _prepare(self, threads: int) -> None:
+        self._grid = torch.from_numpy(self.grid).view(-1, 3)
         self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
         self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
 
     def _gathered(self) -> Tensor:
         return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
-
-    def _write(self, moved: Tensor) -> None:
-        self.grid.reshape(-1, 3)[:] = moved.numpy()
 
     def look(self) -> None:
         # The next loss reports values that are not finite.

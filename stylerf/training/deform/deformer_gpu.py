@@ -48,14 +48,11 @@ class GpuDeformer(GridDeformer[Tensor]):
         super().__init__(field, deformation, cameras, vertices, seed, threads, gradient_clip)
         self.collect()
 
-    def _there(self, tensor: Tensor) -> Tensor:
-        return tensor.to(self.device)
-
     def _prepare(self, threads: int) -> None:
         self.device_field = GpuField(self.field, self.device)
         assert self.device_field.displacement is not None
-        self._grid_there = self.device_field.displacement
-        self._at_rest = self._there(torch.from_numpy(self.rest.distances))
+        self._grid = self.device_field.displacement.view(-1, 3)
+        self._at_rest = torch.from_numpy(self.rest.distances).to(self.device)
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
         self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.gradient_clip)
@@ -72,18 +69,15 @@ class GpuDeformer(GridDeformer[Tensor]):
     def _gathered(self) -> Tensor:
         return self.gradients.view(-1, 3)
 
-    def _write(self, moved: Tensor) -> None:
-        self._grid_there.view(-1, 3).copy_(moved)
-
     def look(self) -> None:
         cells, field = self.rest.cells, self.device_field
         reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
-        occupied = displaced_cells(self._at_rest, cells, reach, self._grid_there, field.vertices)
+        occupied = displaced_cells(self._at_rest, cells, reach, self._grid.view(-1), field.vertices)
         field.distances = distances_to(occupied).flatten()
 
     def _place(self, distances: np.ndarray) -> None:
         # As in look(): GPU and CPU resume each other's checkpoints.
-        self.device_field.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
+        self.device_field.distances = torch.from_numpy(np.minimum(distances, FARTHEST_CELL)).to(self.device)
         self.collect()
 
     def _number(self, size: Tensor) -> float:
@@ -92,7 +86,7 @@ class GpuDeformer(GridDeformer[Tensor]):
 
     def collect(self) -> None:
         self.deformation.values[:] = torch.as_tensor(self.adam.values).cpu().numpy()
-        self.grid.reshape(-1)[:] = self._grid_there.cpu().numpy()
+        self.grid.reshape(-1, 3)[:] = self._grid.cpu().numpy()
         if self._brought is not self.device_field.distances:  # the distances of a fine grid take a while
             self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
             self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)

@@ -88,10 +88,12 @@ class FixedGeometry:
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[ShadingPoints, np.ndarray]]:
         points = self.surface(view).samples(pixels)
-        color, basis = self.field.color, None
-        if not isinstance(color, HashColor):  # the color below a region's own depends on the direction
+        color = self.field.color
+        if isinstance(color, HashColor):
+            colors = color.colors(points, None, self.threads)
+        else:  # the color below a region's own depends on the direction
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
-        colors = color.colors(points, basis, self.threads)
+            colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
         shade(points, colors, out)
         return out, (points, colors)
