@@ -55,7 +55,7 @@ def adain_picture(extractor: FeatureExtractor, decoder: Decoder, photo: Tensor, 
 
 FIRST, SECOND, FLOOR = 0.9, 0.99, 1e-8  # Adam's betas and epsilon
 
-Loss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]
+ImageLoss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]  # of an image [3, h, w]: the loss and its parts
 
 
 class ImageOptimization:
@@ -81,7 +81,7 @@ class ImageOptimization:
         colors = self.colors if colors is None else colors
         return colors if self.alpha is None else self.alpha * colors + (1 - self.alpha) * self.background
 
-    def step(self, loss: Loss, factor: float = 1.0) -> dict[str, float]:
+    def step(self, loss: ImageLoss, factor: float = 1.0) -> dict[str, float]:
         """Take one step at `factor` times the rate, keeping colors in 0..1; return the loss terms before it."""
         colors = self.colors.clone().requires_grad_()
         total, parts = loss(self.seen(colors))
@@ -113,7 +113,7 @@ def painted(
     start: Tensor,
     alpha: Tensor | None,
     background: float | Tensor,
-    loss: Loss,
+    loss: ImageLoss,
     steps: int,
     rate: float,
     enough: Callable[[], bool] = lambda: False,

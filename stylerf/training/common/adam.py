@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
+from torch import Tensor
 
 from stylerf.kernels.cpu.adam import adam
 
@@ -54,6 +55,14 @@ class Adam:
 
 class Optimizer(Protocol):
     """An Adam, or a GpuAdam."""
+
+    @property
+    def values(self) -> np.ndarray | Tensor: ...
+
+    @property
+    def gradients(self) -> np.ndarray | Tensor: ...
+
+    def step(self, rate: float) -> None: ...
 
     def arrays(self) -> dict[str, np.ndarray]: ...
 

@@ -5,7 +5,7 @@ vertices near something matter: the network is evaluated some tens of thousands 
 """
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -27,11 +27,8 @@ from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.adam import Adam, moments_of, restore_moments
+from stylerf.training.common.adam import Adam, Optimizer, moments_of, restore_moments
 from stylerf.training.common.ray_dataset import over, target, unhidden
-
-if TYPE_CHECKING:
-    from stylerf.training.common.adam_gpu import GpuAdam
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
@@ -47,7 +44,7 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     device = torch.device("cpu")  # of the network
     gradients: Buffer
-    adam: "Adam | GpuAdam"
+    adam: Optimizer
     _grid: Tensor  # [vertices^3, 3], that rays read
 
     def __init__(

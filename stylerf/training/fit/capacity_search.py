@@ -68,19 +68,6 @@ PRUNINGS = {
 OF_RANKS = ("density ranks", "color ranks")
 
 
-def named(level: CapacityLevel, kinds: Kinds, settings: FitSettings) -> str:
-    """A capacity as text: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
-    ranks = []
-    if kinds.density == "vm":
-        ranks.append(level.density_rank)
-    if kinds.color == "vm":
-        ranks.append(level.color_rank)
-    degree = min(level.degree, settings.degree)
-    coarser = f"+{level.color_resolution}^3" if level.color.resolution != level.resolution else ""
-    words = f"{level.resolution}^3{coarser}" + (f" rank {'+'.join(map(str, ranks))}" if ranks else "")
-    return words + ("" if degree == settings.degree else f" degree {degree}")
-
-
 class CapacitySearch:
     """Decides what is tried next and whether it stays; holds no arrays.
 
@@ -102,7 +89,14 @@ class CapacitySearch:
         return self.state.trial
 
     def name(self, level: CapacityLevel) -> str:
-        return named(level, self.settings.kinds, self.settings)
+        """A capacity as text: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
+        kinds, wanted = self.settings.kinds, self.settings.degree
+        vm = (kinds.density, level.density_rank), (kinds.color, level.color_rank)
+        ranks = [str(rank) for kind, rank in vm if kind == "vm"]
+        degree = min(level.degree, wanted)
+        coarser = f"+{level.color_resolution}^3" if level.color.resolution != level.resolution else ""
+        words = f"{level.resolution}^3{coarser}" + (f" rank {'+'.join(ranks)}" if ranks else "")
+        return words + ("" if degree == wanted else f" degree {degree}")
 
     # -- when -------------------------------------------------------------------------------------------------------
 

@@ -15,6 +15,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.image_stylization import ImageLoss
 from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.geometry import Record
@@ -23,7 +24,6 @@ from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageS
 from stylerf.training.stylize.trainer import StyleMethod
 
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
-ImageLoss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]  # of an image [3, h, w]: the loss and its parts
 
 
 class ViewLoss:

@@ -1,7 +1,7 @@
 """How a stylization renders its scene: fixed surfaces that are only colored, or rays through a deforming field."""
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -14,12 +14,9 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
 from stylerf.kernels.cpu.ray_samples import Rays, ShadingPoints
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, Optimizer
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Buffer, GridDeformer
-
-if TYPE_CHECKING:
-    from stylerf.training.common.adam_gpu import GpuAdam
 
 RAYS_AT_ONCE = 8192
 OPAQUE = 1e-2  # transmittance at which a ray ends
@@ -45,7 +42,7 @@ class Surfaces(Geometry, Protocol):
 
     field: RadianceField
 
-    def new_adam(self, gradient_clip: float = 0.0) -> "Adam | GpuAdam":
+    def new_adam(self, gradient_clip: float = 0.0) -> Optimizer:
         """An optimizer of field.color, its moments at zero."""
 
     def collect(self) -> None:

@@ -19,11 +19,11 @@ from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import SOLID, SeenPoints, points_of, registered, sampled_at
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.feature_matching import StyleRows
-from stylerf.style.image_stylization import ImageOptimization
+from stylerf.style.image_stylization import ImageLoss, ImageOptimization
 from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective, Wanted
 from stylerf.style.style_objective import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.stylize.arf import ImageLoss, ViewLoss, ViewStep
+from stylerf.training.stylize.arf import ViewLoss, ViewStep
 from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match
 from stylerf.training.stylize.settings import RefNprSettings
 from stylerf.training.stylize.trainer import StyleMethod

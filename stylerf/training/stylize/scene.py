@@ -5,7 +5,7 @@ StyleProblem holds what is given; StyledScene holds what changes. Methods render
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -22,14 +22,11 @@ from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import match_colors, pixels_of, spread_at_least, spread_at_most, strokes_in
-from stylerf.training.common.adam import Adam, moments_of, restore_moments
+from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
 from stylerf.training.stylize.settings import DesrfSettings, StyleSettings, StyleState
-
-if TYPE_CHECKING:
-    from stylerf.training.common.adam_gpu import GpuAdam
 
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
 
@@ -234,7 +231,7 @@ class StyledScene(Generic[Settings_co]):
         threshold = self.settings.weight_threshold
         return p.backend.fixed_geometry(still, p.cameras, threshold, p.threads, SURFACES * p.memory)
 
-    def new_adam(self) -> "Adam | GpuAdam":
+    def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
         return self.fixed.new_adam(self.settings.gradient_clip)
 
