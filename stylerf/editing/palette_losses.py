@@ -215,7 +215,7 @@ def figures_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> 
         varied.append(weight_variation(weights, view))
         shares.append(weights.mean(0))
     return {
-        "colors": int(module.active.sum()),
+        "colors": len(module.palette),
         "palette": [[round(float(v), 4) for v in color] for color in module.palette],
         "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
         "sparsity": round(float(np.mean(sparse)), 4),

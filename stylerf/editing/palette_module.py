@@ -9,8 +9,9 @@ P: palette [colors, 3], sRGB, not clamped to 0..1. A: number of active colors. n
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,22 +39,27 @@ class Mixture:
     colors: Tensor
 
 
-class PaletteEvaluator(Protocol):
+class PaletteEvaluator(ABC):
     """A palette module, to be evaluated: PaletteModule, or GpuPaletteModule."""
 
     @property
-    def active(self) -> np.ndarray:
-        """[colors] bool."""
-
-    @property
+    @abstractmethod
     def palette(self) -> np.ndarray:
         """The active colors [A, 3], sRGB 0..1."""
 
+    @abstractmethod
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
         """Evaluate the module at cube points and unit directions [n, 3]; the result is on the CPU."""
 
+    @abstractmethod
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Do as colors(), given a mixture on the CPU."""
+
     def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
         """Return the weights [n, A] float32 at cube points [n, 3]."""
+        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
 
     def colors(
         self,
@@ -73,9 +79,10 @@ class PaletteEvaluator(Protocol):
                 P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
             chunks: Threads.
         """
+        return self.edited(self.mixture(x, directions, chunks), edits, transition)
 
 
-class PaletteModule:
+class PaletteModule(PaletteEvaluator):
     """Palette, encoding and both networks. Edits number the active colors 0 to A - 1, in order.
 
     Args:
@@ -164,7 +171,6 @@ class PaletteModule:
 
     @property
     def palette(self) -> np.ndarray:
-        """The active colors [A, 3], sRGB 0..1."""
         return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
 
     @torch.no_grad()
@@ -178,23 +184,9 @@ class PaletteModule:
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
-    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
-
-    def colors(
-        self,
-        x: np.ndarray,
-        directions: np.ndarray,
-        edits: PaletteEdits | None = None,
-        transition: np.ndarray | None = None,
-        chunks: int = 1,
-    ) -> np.ndarray:
-        return self.edited(self.mixture(x, directions, chunks), edits, transition)
-
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:
-        """Do as colors(), given a mixture on the CPU."""
         if edits is None or not edits:
             return found.colors.numpy()
         # Unclamped, as in training.

@@ -4,13 +4,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteModule
+from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteEvaluator, PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.gpu import launch_edit
 
 
-class GpuPaletteModule:
+class GpuPaletteModule(PaletteEvaluator):
     """A copy of a module on `device`; results equal PaletteModule's up to rounding. Edits apply on the host.
 
     Attributes:
@@ -75,14 +75,10 @@ class GpuPaletteModule:
             parts.append(self.module.mix(self.networks, phi, basis, self.kept))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colors")))
 
-    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1))).weights.numpy()
-
-    def colors(
-        self, x: np.ndarray, directions: np.ndarray, edits: PaletteEdits | None = None,
-        transition: np.ndarray | None = None, chunks: int = 1,
-    ) -> np.ndarray:  # fmt: skip
-        return self.module.edited(self.mixture(x, directions), edits, transition)
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        return self.module.edited(found, edits, transition)
 
 
 class _Encode(torch.autograd.Function):

@@ -193,6 +193,13 @@ class RayDataset:
         views = np.searchsorted(self._ends, index, side="right")
         return views, index - (self._ends[views] - self.sizes[views])
 
+    def of_views(
+        self, first: int, count: int, generator: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`count` random rays and their colors, of views from `first` on, each as likely; see at()."""
+        views = generator.integers(first, len(self.cameras), count)
+        return self.at(views, (generator.random(count) * self.sizes[views]).astype(np.int64))
+
     def at(self, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)

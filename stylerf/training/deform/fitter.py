@@ -86,12 +86,10 @@ class DeformationFitter:
 
     def _fixed_rays(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays of the held-out views; of all views if none is held out."""
-        views = len(self.dataset.cameras)
-        if self.among == views:
+        if self.among == len(self.dataset.cameras):
             rays = self.dataset.draw(FIXED_RAYS, generator)[:3]
         else:
-            chosen = generator.integers(self.among, views, FIXED_RAYS)
-            rays = self.dataset.at(chosen, (generator.random(FIXED_RAYS) * self.dataset.sizes[chosen]).astype(np.int64))
+            rays = self.dataset.of_views(self.among, FIXED_RAYS, generator)
         return shown_rays(*rays) if self.field.opaque_background else rays
 
     @property

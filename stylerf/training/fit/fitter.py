@@ -145,9 +145,7 @@ class Fitter:
         """Up to 16,384 rays of the held-out views; of all views if none is held out."""
         generator = np.random.default_rng([self.seed, 3])
         first = len(self.dataset.cameras) - self.held_out if self.held_out else 0
-        views = generator.integers(first, len(self.dataset.cameras), 16384)
-        pixels = (generator.random(len(views)) * self.dataset.sizes[views]).astype(np.int64)
-        chosen = self.dataset.at(views, pixels)
+        chosen = self.dataset.of_views(first, 16384, generator)
         return chosen if self.space.kind == "box" else shown_rays(*chosen)
 
     @property
