@@ -5,7 +5,7 @@ vertices near something matter: the network is evaluated some tens of thousands 
 """
 
 from abc import ABC, abstractmethod
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -214,21 +214,11 @@ def random_rays(cameras: list[Camera], count: int, near: float, generator: np.ra
     return Rays.of(np.concatenate(origins), np.concatenate(directions), near)
 
 
-class RayError(Protocol):
-    """Mean squared error of a deforming field's rays, and its gradient."""
-
-    def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
-        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
-
-    def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
-        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error.
-
-        On a GPU, that of some steps before.
-        """
-
-
 class PhotoError:
-    """RayError on the CPU. background: gray level behind the field. weight_threshold: see render_rays."""
+    """Mean squared error of a deforming field's rays, and its gradient.
+
+    background: gray level behind the field. weight_threshold: see render_rays.
+    """
 
     def __init__(self, deformer: Deformer, background: float, weight_threshold: float, threads: int) -> None:
         self.deformer, self.background, self.threads = deformer, np.float32(background), threads
@@ -249,9 +239,11 @@ class PhotoError:
         return rendered, found - target(colors, back)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
+        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
         return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
+        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
         rendered, difference = self._rendered(origins, directions, colors, jitter)
         gradients = np.zeros_like(rendered.out)
         gradients[:, :3] = difference * np.float32(2 / difference.size)

@@ -94,7 +94,7 @@ class GpuDeformer(GridDeformer[Tensor]):
 
 
 class GpuPhotoError:
-    """RayError of a GpuDeformer; `threads` is unused."""
+    """PhotoError of a GpuDeformer; learn() returns the error of some steps before. `threads` is unused."""
 
     def __init__(self, deformer: GpuDeformer, background: float, weight_threshold: float, threads: int) -> None:
         self.deformer, self.background, self.weight_threshold = deformer, background, weight_threshold

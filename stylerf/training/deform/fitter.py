@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -11,9 +12,13 @@ from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
-from stylerf.training.deform.deformer import AnyDeformer, Deformer, PhotoError, RayError
+from stylerf.training.deform.deformer import AnyDeformer, Deformer, PhotoError
 
-DeformBackend = tuple[Callable[..., AnyDeformer], Callable[..., RayError]]
+if TYPE_CHECKING:
+    from stylerf.training.deform.deformer_gpu import GpuPhotoError
+
+PhotoErrors: TypeAlias = "PhotoError | GpuPhotoError"
+DeformBackend = tuple[Callable[..., AnyDeformer], Callable[..., PhotoErrors]]
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps
 

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
@@ -29,7 +30,12 @@ from stylerf.editing.palette_module import (
 from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.training.edit.engine import CpuEditEngine, EditEngine
+from stylerf.training.edit.engine import CpuEditEngine
+
+if TYPE_CHECKING:
+    from stylerf.training.edit.engine_gpu import GpuEditEngine
+
+EditEngine: TypeAlias = "CpuEditEngine | GpuEditEngine"
 
 SAMPLED_COLORS = 20_000  # pixels of the region that initial palette and mean color are taken from
 # Fractions of `seconds` for the phases.

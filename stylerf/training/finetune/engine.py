@@ -4,7 +4,6 @@ The loop in trainer.py chooses pixels and learning rate; an engine takes the ste
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -68,29 +67,6 @@ class FineTuneBatch:
     smoothness: float
 
 
-class FineTuneEngine(Protocol):
-    """Takes the steps of a fine-tuning, and holds its field."""
-
-    @property
-    def field(self) -> RadianceField:
-        """The present field, its arrays up to date."""
-
-    def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
-
-        A GPU returns those of the newest step that has finished, none before the first.
-        """
-
-    def settle(self) -> dict[str, float]:
-        """Wait for the last step; its errors."""
-
-    def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name; the next step may overwrite them."""
-
-    def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Resume from the field's present arrays and moments()."""
-
-
 def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
     """Means by name, from sums over rays outside the edit, inside it, and of depths inside it."""
     return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
@@ -114,6 +90,10 @@ class CpuFineTuneEngine:
         self._memory = ScratchArena()
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
+        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
+
+        A GPU returns those of the newest step that has finished, none before the first.
+        """
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
         origins, directions, colors = self.dataset.at(batch.views, batch.pixels)
@@ -160,10 +140,13 @@ class CpuFineTuneEngine:
         return [color, (*density, factor)] if factor > 0 else [color]
 
     def settle(self) -> dict[str, float]:
+        """Wait for the last step; its errors."""
         return self._last
 
     def moments(self) -> dict[str, np.ndarray]:
+        """The optimizers' moments, by name; the next step may overwrite them."""
         return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
+        """Resume from the field's present arrays and moments()."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, moments)

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,7 +18,12 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.training.common.adam import SMOOTH_EVERY
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
-from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneEngine, FineTuneSettings
+from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneSettings
+
+if TYPE_CHECKING:
+    from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
+
+FineTuneEngine: TypeAlias = "CpuFineTuneEngine | GpuFineTuneEngine"
 
 
 @dataclass

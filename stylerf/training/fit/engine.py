@@ -6,7 +6,6 @@ the steps, renders, and updates the occupancy grid.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -49,55 +48,6 @@ class StepResult:
     samples_per_ray: float
 
 
-class Engine(Protocol):
-    """Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all."""
-
-    most_rays: int  # of a batch
-
-    @property
-    def field(self) -> RadianceField:
-        """The present field, its arrays up to date."""
-
-    @property
-    def parameters(self) -> int:
-        """Number of learnable values; does not wait for a GPU."""
-
-    def adopt(self, field: RadianceField) -> None:
-        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
-
-    def refresh(self, seed: int, share: int) -> None:
-        """Update the occupancy grid at one cell in `share`."""
-
-    def learn(self, batch: Batch) -> StepResult:
-        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
-
-    def discard(self) -> None:
-        """Drop accumulated gradients."""
-
-    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
-
-    def follow_exposure(self) -> None:
-        """Take over the exposure of the loop's dataset."""
-
-    def settle(self) -> None:
-        """Wait for pending steps, whose time would otherwise count for what follows."""
-
-    def agree(self) -> None:
-        """Take over the first process's values, so that differences in rounding do not add up."""
-
-    def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
-
-    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        """From moments(), for the field adopted last."""
-
-    def warm_up(
-        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
-    ) -> None:
-        """Compile every kernel that a step uses, on these scratch fields."""
-
-
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
     """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for rays [n] that are clear or opaque.
 
@@ -122,7 +72,10 @@ def parts_of(start: int, stop: int, parts: int) -> list[slice]:
 
 
 class CpuEngine:
-    """Numba kernels on `threads` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits. most_rays: of a batch.
+
+    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
+    """
 
     most_rays = 16384
 
@@ -141,6 +94,7 @@ class CpuEngine:
         self._memory = ScratchArena()
 
     def adopt(self, field: RadianceField) -> None:
+        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
         self.field = field
         if self.density_adam.values is not field.density.values:
             self.density_adam = self._new_adam(field.density)
@@ -152,13 +106,16 @@ class CpuEngine:
 
     @property
     def parameters(self) -> int:
+        """Number of learnable values; does not wait for a GPU."""
         return self.field.parameters
 
     def refresh(self, seed: int, share: int) -> None:
+        """Update the occupancy grid at one cell in `share`."""
         field = self.field
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, share, 0.9)
 
     def learn(self, batch: Batch) -> StepResult:
+        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
         generator = np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
         origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
@@ -201,11 +158,13 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
+        """Drop accumulated gradients."""
         self._memory = ScratchArena()  # its memory is needed for smaller batches
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
         found = np.zeros((len(origins), 5), np.float32)
         for begin in range(4096 * self.group.place, len(origins), 4096 * self.group.count):
             part = slice(begin, begin + 4096)
@@ -215,23 +174,29 @@ class CpuEngine:
         self.group.add(found)
         return found
 
-    def follow_exposure(self) -> None: ...  # the dataset is the loop's own
+    def follow_exposure(self) -> None:
+        """Take over the exposure of the loop's dataset, if this one is a copy."""
 
-    def settle(self) -> None: ...
+    def settle(self) -> None:
+        """Wait for pending steps, whose time would otherwise count for what follows."""
 
     def agree(self) -> None:
+        """Take over the first process's values, so that differences in rounding do not add up."""
         for part in (self.field.density, self.field.color):
             self.group.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
+        """The optimizers' moments, by name."""
         return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
+        """From moments(), for the field adopted last."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
 
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
+        """Compile every kernel that a step uses, on these scratch fields."""
         origins, directions, _, _ = self.dataset.draw(16, np.random.default_rng(0))
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:

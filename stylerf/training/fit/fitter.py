@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from stylerf.training.common.adam import SMOOTH_EVERY
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, background_of, over, psnr_from_mse, shown_rays, target
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
-from stylerf.training.fit.engine import Batch, CpuEngine, Engine
+from stylerf.training.fit.engine import Batch, CpuEngine
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
 from stylerf.training.fit.settings import (
     GROW,
@@ -38,6 +38,10 @@ from stylerf.training.fit.settings import (
 )
 from stylerf.training.fit.visual_hull import clear_cells
 
+if TYPE_CHECKING:
+    from stylerf.training.fit.engine_gpu import GpuEngine
+
+Engine: TypeAlias = "CpuEngine | GpuEngine"
 EXPOSURE_FROM = 0.1  # of the budget; before, a field is brighter or darker than its photos for other reasons
 MOST_ROLLBACKS = 4
 USABLE_FROM = 0.5  # of the budget; from here on the best field so far is worth more than an error
@@ -76,7 +80,7 @@ class Fitter:
         threads: int,
         on_say: Callable[[str], None] = lambda text: None,
         group: ProcessGroup = ALONE,
-        engine: Callable[[RayDataset, int, int, RadianceField, ProcessGroup], Engine] = CpuEngine,
+        engine: Callable[..., Engine] = CpuEngine,
     ) -> None:
         self.space, self.dataset, self.held_out, self.settings = space, dataset, held_out, settings
         self.seed, self.threads, self.on_say, self.group = seed, threads, on_say, group
