@@ -136,13 +136,8 @@ def seen_of_view(
     occluders. Colors are not premultiplied as in LAENeRF, where silhouettes add black to the palette.
 
     Args:
-        field: The field.
-        camera: Of the view.
         photo: [h, w, 3 or 4] sRGB 0..1.
-        region: The region.
         settings: Tolerance and width of the transition.
-        view: Index of the view.
-        chunks: Threads.
         ends_of: Replaces ends_of_view, on another device.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
@@ -195,7 +190,6 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
     view; a fixed width gives the same lambda in every view.
 
     Args:
-        field: The field.
         x: [n, 3] ends of rays in the region.
         ends: Of all rays of the view, in the growing grid, as from ends_of_view.
         reach: Width, scene units.

@@ -68,7 +68,6 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
     Args:
         colors: [n, 3].
         size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR.
-        generator: For k-means.
     """
     if len(colors) == 0 or not np.isfinite(colors).all() or 0 < size < FEWEST or size < 0:
         raise InvalidValue(f"cannot extract a palette of {size} colors (0, or at least 4) from {len(colors)} colors")

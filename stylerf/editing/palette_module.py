@@ -77,7 +77,6 @@ class PaletteEvaluator(ABC):
             edits: Of palette and weights.
             transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
                 P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
-            chunks: Threads.
         """
         return self.edited(self.mixture(x, directions, chunks), edits, transition)
 
@@ -136,7 +135,6 @@ class PaletteModule(PaletteEvaluator):
         """Evaluate the module.
 
         Args:
-            values: As a tensor.
             phi: Features [n, features].
             basis: Harmonics of the directions [n, 9].
             kept: Indices of the active colors, if already on the device.

@@ -94,10 +94,8 @@ def laenerf_script(
     0..1 instead of -1..1. Images are rounded to eight bits, as the script reads them.
 
     Args:
-        source, target: Images.
         forward: Flow from source to target.
         backward: Flow from target to source.
-        perceptual: A distance of two images.
     """
     _check(source, target, forward, backward)
     source, target = (np.round(image * 255) / 255 for image in (source, target))

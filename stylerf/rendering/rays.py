@@ -56,8 +56,6 @@ def render_rays(
     """Render rays.
 
     Args:
-        field: what is rendered.
-        rays: [rays].
         threads: partitions of the rays; the result is the same to the bit for the same number.
         min_transmittance: a ray ends once its transmittance falls below this.
         weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color.

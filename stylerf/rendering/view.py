@@ -48,8 +48,6 @@ def render_view(
     """Render every pixel center of a camera.
 
     Args:
-        field, camera: what is rendered, and from where.
-        threads: threads of the kernels.
         min_transmittance: a ray ends once its transmittance falls below this.
         rays_at_once: bounds memory.
         regions: marked cells [s, s, s] bool by name; their masks come from the very samples of the picture.

@@ -29,7 +29,6 @@ def nearest(
     """Find the style row of largest cosine similarity, without gradients. Ties go to the first row.
 
     Args:
-        content: Rows.
         style: Rows of unit length.
         memory_mb: Limit of the similarities held at a time.
         half: On CUDA, compare in float16, whose steps at unit length are an eighth of bfloat16's 0.004.

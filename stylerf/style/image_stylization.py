@@ -123,7 +123,6 @@ def painted(
     Args:
         start, alpha, background, rate: See ImageOptimization.
         loss: Maps an image [3, h, w] to the loss and its terms.
-        steps: Number of steps.
         enough: Called after every step; True ends early.
 
     Returns:

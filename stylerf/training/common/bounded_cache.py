@@ -23,7 +23,6 @@ class BoundedCache(Generic[Item]):
     Args:
         make: Computes the item of a view, always the same.
         size: Bytes of an item.
-        count: Number of views.
     """
 
     def __init__(self, make: Callable[[int], Item], size: Callable[[Item], int], count: int, max_bytes: float) -> None:
