@@ -103,7 +103,7 @@ def random_field(vertices: int, kind: str = "vm"):
     kind: of density and color (hash-mlp: of the color behind a vm density); stylized: a vm density and the hash
     color of a stylization. A voxel grid keeps all of its blocks.
     """
-    from stylerf.fields.hash_color import HashColor
+    from stylerf.fields.hash_grid import HashColor
     from stylerf.fields.occupancy_grid import OccupancyGrid
     from stylerf.fields.radiance_field import RadianceField
     from stylerf.geometry.space_warp import SpaceWarp
@@ -123,7 +123,7 @@ def random_field(vertices: int, kind: str = "vm"):
 
 def random_rays(count: int, device: torch.device):
     """Rays towards the middle of the box from around it."""
-    from stylerf.fields.gpu.field import GpuRays
+    from stylerf.kernels.gpu.ray_samples import GpuRays
 
     generator = np.random.default_rng(1)
     origins = generator.normal(size=(count, 3))

@@ -11,7 +11,7 @@ def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colors
 
     kind: vm, or stylized: then its color's kernel alone, as the others are those of a vm field.
     """
-    from stylerf.kernels.gpu import launch_deform
+    from stylerf.kernels.gpu import launch
 
     s, colors, named = rendered.samples, rendered.colors, "vm" if kind == "vm" else "hash sum"
     n, slopes, ways = s.room, torch.zeros_like(s.x), rays.directions
@@ -31,13 +31,11 @@ def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colors
             n * 44 + field.density.values.nbytes,
         ),
         "displacement backward": (
-            lambda: launch_deform.displacement_backward(
-                field.space.code, space, rays.origins, ways, s, slopes, VERTICES, grid
-            ),
+            lambda: launch.displacement_backward(field.space.code, space, rays, s, slopes, VERTICES, grid),
             n * 36 + len(ways) * 24 + 2 * grid.nbytes,
         ),
         "displaced cells": (
-            lambda: launch_deform.displaced_cells(field.distances, field.cells, REACH, grid, VERTICES),
+            lambda: launch.displaced_cells(field.distances, field.cells, REACH, grid, VERTICES),
             2 * field.cells**3 + grid.nbytes,
         ),
     }

@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from stylerf.fields.gpu.field import GpuRegionColor
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.gpu.parts import GpuRegionColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.region_color import RegionColor
-from stylerf.kernels.gpu import launch_edit
+from stylerf.kernels.gpu import launch
 
 
 def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
@@ -20,22 +20,22 @@ def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
     colors, marked, table = part.visible_colors(s, ways, 0.0), part.marked, 4 * len(part.values)
     to, depth, sums = torch.zeros_like(part.values), torch.ones(rays // 2, device=wanted.device), wanted.new_zeros(5)
     of_sigma = torch.randn_like(s.sigma)
-    rows = launch_edit.rows(part.table, part.layout, part.levels, s.x)
+    rows = launch.rows(part.table, part.layout, part.levels, s.x)
     return {
-        "patch color": (lambda: launch_edit.region_colors(part, s, colors), n * 36 + cells**3 + table),
+        "patch color": (lambda: part.add_logits(s, colors), n * 36 + cells**3 + table),
         "patch color backward": (
             lambda: part.backward(s, ways, colors, of_colors, to), n * 36 + cells**3 + 3 * table,
         ),
-        "keep inside": (lambda: launch_edit.zero_outside(marked, cells, s, of_sigma), n * 16 + cells**3),
-        "ends of rays": (lambda: launch_edit.ends_inside(marked, cells, s), n * 20 + rays * 40 + cells**3),
+        "keep inside": (lambda: launch.zero_outside(marked, cells, s, of_sigma), n * 16 + cells**3),
+        "ends of rays": (lambda: launch.ends_inside(marked, cells, s), n * 20 + rays * 40 + cells**3),
         "tuning loss": (
-            lambda: launch_edit.tuning_loss(rendered.out, wanted, depth, s, 1.0, 1.0, 1.0, sums), rays * 78,
+            lambda: launch.tuning_loss(rendered.out, wanted, depth, s, 1.0, 1.0, 1.0, sums), rays * 78,
         ),
         "hash rows": (
-            lambda: launch_edit.rows(part.table, part.layout, part.levels, s.x), n * (12 + 16 * part.levels) + table,
+            lambda: launch.rows(part.table, part.layout, part.levels, s.x), n * (12 + 16 * part.levels) + table,
         ),
         "hash rows backward": (
-            lambda: launch_edit.rows_backward(part.layout, part.levels, s.x, rows, to),
+            lambda: launch.rows_backward(part.layout, part.levels, s.x, rows, to),
             n * (12 + 16 * part.levels) + 3 * table,
         ),
     }  # fmt: skip

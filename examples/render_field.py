@@ -11,9 +11,9 @@ import sys
 import numpy as np
 from PIL import Image
 
-from stylerf.fields.capacity import Capacity
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.cameras import Camera

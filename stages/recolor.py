@@ -14,8 +14,8 @@ from stages.run.runner import Spec
 from stylerf.editing.selection import ends_of_rays
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_edits import Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.kernels.cpu.compiling import set_threads
 
 SPEC = Spec(stage="recolor", verb="stylize", revision=2, writes="field")

@@ -36,7 +36,7 @@ from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor

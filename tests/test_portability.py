@@ -89,7 +89,7 @@ def test_a_current_folder_is_left_again_without_fchdir(tmp_path):
     code = """
 import os, sys
 from pathlib import Path
-from stylerf.environment.current_folder import current_folder
+from stylerf.environment.trusted_paths import current_folder
 before = os.getcwd()
 with current_folder(Path(sys.argv[1])):
     inside = os.getcwd()

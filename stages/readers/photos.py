@@ -122,7 +122,7 @@ class Developer:
             pixels[..., :3] *= pixels[..., 3:]
         if not one.camera.distortion.none:
             # Late: the kernel takes a second to load, which pinhole sources need not wait for.
-            from stylerf.kernels.cpu.image_remap import remapped
+            from stylerf.kernels.cpu.photos import remapped
 
             pixels = remapped(pixels, self._map(one))
         pixels = shrunk(pixels, size)

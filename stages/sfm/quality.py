@@ -7,7 +7,7 @@ import pycolmap
 
 from stages.sfm.silhouettes import OUTSIDE
 from stylerf.geometry.camera_conventions import from_colmap
-from stylerf.geometry.epipolar import epipolar_distance, essential, largest_parallax
+from stylerf.geometry.cameras import epipolar_distance, essential, largest_parallax
 
 FEWEST_PHOTOS = 3
 REFUSED_SHARE, WORRYING_SHARE = 0.5, 0.8

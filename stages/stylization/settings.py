@@ -16,7 +16,7 @@ from stages.configs.stylize import (
     SnerfConfig,
     StylizeConfig,
 )
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of

@@ -7,11 +7,12 @@ import torch
 from torch import Tensor
 
 from stylerf.editing.extraction import EVERYWHERE
-from stylerf.fields.gpu.field import GpuField, marked_cells
+from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.memory import in_parts
+from stylerf.fields.gpu.parts import marked_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.gpu import launch_edit
+from stylerf.kernels.gpu import launch
 from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.rendering.view_gpu import rays_of
 
@@ -42,7 +43,7 @@ class GpuRayEnds:
             samples = self._field.march(rays, SAMPLES_PER_RAY, 1e-3, None)
             foreground = replace(samples, weights=torch.where(samples.deltas > 0, samples.weights, 0.0))
             for grid, own in zip(grids, marked):
-                ends = launch_edit.ends_inside(own, grid.shape[0], foreground if grid is EVERYWHERE else samples)
+                ends = launch.ends_inside(own, grid.shape[0], foreground if grid is EVERYWHERE else samples)
                 ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
                 found.append(ends)
             return found

@@ -7,7 +7,7 @@ from torch import Tensor
 from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteEvaluator, PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels.gpu import launch_edit
+from stylerf.kernels.gpu import launch
 
 
 class GpuPaletteModule(PaletteEvaluator):
@@ -71,7 +71,7 @@ class GpuPaletteModule(PaletteEvaluator):
             part = slice(at, at + POINTS_AT_ONCE)
             points = torch.from_numpy(np.ascontiguousarray(x[part], np.float32)).to(self.device)
             basis = torch.from_numpy(harmonics(directions[part], DEGREE)).to(self.device)
-            phi = launch_edit.rows(self.table, self.layout, self.levels, self.local(points))
+            phi = launch.rows(self.table, self.layout, self.levels, self.local(points))
             parts.append(self.module.mix(self.networks, phi, basis, self.kept))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colors")))
 
@@ -87,10 +87,10 @@ class _Encode(torch.autograd.Function):
     @staticmethod
     def forward(context, hook: Tensor, palette: GpuPaletteModule, x: Tensor, to: Tensor) -> Tensor:
         context.palette, context.x, context.to = palette, x, to
-        return launch_edit.rows(palette.table, palette.layout, palette.levels, x)
+        return launch.rows(palette.table, palette.layout, palette.levels, x)
 
     @staticmethod
     def backward(context, gradients: Tensor) -> tuple[None, None, None, None]:
         palette = context.palette
-        launch_edit.rows_backward(palette.layout, palette.levels, context.x, gradients.contiguous(), context.to)
+        launch.rows_backward(palette.layout, palette.levels, context.x, gradients.contiguous(), context.to)
         return None, None, None, None

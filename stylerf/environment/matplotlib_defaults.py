@@ -7,7 +7,7 @@ Import matplotlib through this module only.
 from importlib.util import find_spec
 from pathlib import Path
 
-from stylerf.environment.current_folder import current_folder
+from stylerf.environment.trusted_paths import current_folder
 
 _found = find_spec("matplotlib")
 if _found is None or _found.origin is None:

@@ -1,7 +1,9 @@
-"""Checks that nobody else could have written a file or folder from which compiled code is executed."""
+"""Keeps out what somebody else could have written: compiled code, and configuration in the current folder."""
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
 from pathlib import Path
 
 
@@ -50,3 +52,25 @@ def _open(found: os.stat_result) -> str | None:
     own_group = found.st_gid == os.getegid() == user_id()
     others = stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP
     return "can be written by others" if found.st_mode & others else None
+
+
+@contextmanager
+def current_folder(folder: Path) -> Iterator[None]:
+    """Make `folder` the current one inside the block, since libraries read configuration from it at their import.
+
+    Affects all threads, so use it for imports only.
+
+    The previous folder is held open rather than remembered by name, since it may be renamed or deleted.
+    Windows can only go back by name, but lets nobody rename or delete a current folder.
+    """
+    if not hasattr(os, "fchdir"):
+        with chdir(folder):
+            yield
+        return
+    before = os.open(".", getattr(os, "O_PATH", os.O_RDONLY))
+    try:
+        os.chdir(folder)
+        yield
+    finally:
+        os.fchdir(before)
+        os.close(before)

@@ -3,10 +3,9 @@
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.scratch_arena import ScratchArena, empty_array
+from stylerf.fields.marching import ScratchArena, empty_array
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import color_heads as kernels
-from stylerf.kernels.cpu import mlp_head
 from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
@@ -17,11 +16,11 @@ class Packed:
     """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
 
     def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, threads: int) -> None:
-        counts, bound = np.empty(len(ends), np.int64), np.float32(bound)
-        count_marked(marks, bound, starts, ends, threads, counts)
+        counts, least = np.empty(len(ends), np.int64), np.float32(bound)
+        count_marked(marks, least, starts, ends, threads, counts)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.index, self.ray = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
-        pack_marked(marks, bound, starts, ends, offsets, threads, self.index, self.ray)
+        pack_marked(marks, least, starts, ends, offsets, threads, self.index, self.ray)
 
     @classmethod
     def weighted(cls, points: ShadingPoints, threads: int) -> "Packed":
@@ -34,22 +33,33 @@ class Packed:
         return cls(colors, -0.5, points.starts, points.ends, threads)
 
 
-class LinearHead:
+class _Head:
+    """colors(): the colors of packed samples with features phi [m, features] go into out [n, 3].
+
+    backward(): returns dL/d(phi) [m, features], and adds dL/d(numbers) to the threads' buffers to[:, at:]. `length`:
+    how many numbers there are; `initial` draws them.
+    """
+
+    kind: str
+    rate = 1.0  # factor of the learning rate
+
+    def __init__(self, features: int, degree: int) -> None:
+        self.features, self.degree = features, degree
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "degree": self.degree}
+
+
+class LinearHead(_Head):
     """sigmoid(bias + sum_b Y_b(d) head_b . phi): features to spherical-harmonic coefficients.
 
     numbers: head [3, bands, features], bias [3].
     """
 
     kind = "linear"
-    rate = 1.0  # factor of the learning rate
-
-    def __init__(self, features: int, degree: int) -> None:
-        self.features, self.degree = features, degree
-        self._widths = (np.int8(0),) * features
 
     @property
     def length(self) -> int:
-        """Number of values."""
         return 3 * BANDS[self.degree] * self.features + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
@@ -59,74 +69,47 @@ class LinearHead:
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
-        kernels.linear(phi, self._widths, numbers, basis, packed.index, packed.ray, threads, out)
+        widths = (np.int8(0),) * self.features
+        kernels.linear(phi, widths, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
-        out = np.empty_like(phi)
-        kernels.linear_backward(
-            phi,
-            self._widths,
-            numbers,
-            basis,
-            packed.index,
-            packed.ray,
-            colors,
-            color_gradients,
-            len(to),
-            out,
-            at,
-            to,
-        )
+        widths, out, where = (np.int8(0),) * self.features, np.empty_like(phi), (basis, packed.index, packed.ray)
+        kernels.linear_backward(phi, widths, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out
 
-    def describe(self) -> dict:
-        return {"kind": self.kind, "degree": self.degree}
 
-
-class HarmonicHead:
+class HarmonicHead(_Head):
     """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands]: ARF's voxels."""
 
     kind = "harmonic"
-    rate = 1.0
     length = 0
 
     def __init__(self, features: int, degree: int) -> None:
         if features != 3 * BANDS[degree]:
             raise InvalidValue(f"{features} features are not coefficients of degree {degree}")
-        self.features, self.degree = features, degree
+        super().__init__(features, degree)
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return np.empty(0, np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
         kernels.harmonic(phi, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """Return dL/d(phi) [m, features]."""
         out = np.empty_like(phi)
         kernels.harmonic_backward(basis, packed.index, packed.ray, colors, color_gradients, len(to), out)
         return out
 
-    def describe(self) -> dict:
-        return {"kind": self.kind, "degree": self.degree}
 
-
-class MlpHead:
-    """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; numbers: see kernels/cpu/mlp_head.py."""
+class MlpHead(_Head):
+    """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; numbers: see kernels/cpu/color_heads.py."""
 
     kind = "mlp"
     rate = 0.25
-
-    def __init__(self, features: int, degree: int) -> None:
-        self.features, self.degree = features, degree
-        self._hidden = (np.int8(0),) * HIDDEN
+    _hidden = (np.int8(0),) * HIDDEN
 
     @property
     def length(self) -> int:
-        """Number of values."""
         return (self.features + BANDS[self.degree] + 1 + 3) * HIDDEN + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
@@ -138,20 +121,20 @@ class MlpHead:
         return np.concatenate([part.ravel() for part in parts]).astype(np.float32)
 
     def colors(self, phi, numbers, basis, packed: Packed, threads: int, out: np.ndarray) -> None:
-        """Write the colors of packed samples with features phi [m, features] into out [n, 3]."""
-        mlp_head.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, threads, out)
+        kernels.mlp(phi, self._hidden, numbers, basis, packed.index, packed.ray, threads, out)
 
     def backward(self, phi, numbers, basis, packed, colors, color_gradients, at: int, to: np.ndarray) -> np.ndarray:
-        """Return dL/d(phi) [m, features]; add dL/d(numbers) to the threads' buffers to[:, at:]."""
         out, where = np.empty_like(phi), (basis, packed.index, packed.ray)
-        mlp_head.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
+        kernels.mlp_backward(phi, self._hidden, numbers, *where, colors, color_gradients, len(to), out, at, to)
         return out
 
-    def describe(self) -> dict:
-        return {"kind": self.kind, "degree": self.degree}
 
-
-HEADS = {head.kind: head for head in (LinearHead, HarmonicHead, MlpHead)}
+Head = LinearHead | HarmonicHead | MlpHead
+HEADS: dict[str, type[LinearHead] | type[HarmonicHead] | type[MlpHead]] = {
+    "linear": LinearHead,
+    "harmonic": HarmonicHead,
+    "mlp": MlpHead,
+}
 
 
 def uncolored(points: ShadingPoints, threads: int, arena: ScratchArena | None) -> np.ndarray:

@@ -1,15 +1,24 @@
-"""A color as an encoder of positions (encoders.py) followed by a head (color_heads.py), in any combination."""
+"""A color as features of positions (of any kind) followed by a head (color_heads.py), in any combination."""
 
 import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.capacity import Capacity
-from stylerf.fields.color_heads import HEADS, Packed, uncolored
-from stylerf.fields.encoders import FEATURES
-from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.fields.color_heads import HEADS, Head, Packed, uncolored
+from stylerf.fields.hash_grid import HashFeatures
+from stylerf.fields.marching import ScratchArena
+from stylerf.fields.protocol import Capacity
+from stylerf.fields.vm import VmFeatures
+from stylerf.fields.voxel import VoxelFeatures
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
+
+Features = VmFeatures | HashFeatures | VoxelFeatures
+FEATURES: dict[str, type[VmFeatures] | type[HashFeatures] | type[VoxelFeatures]] = {
+    "vm": VmFeatures,
+    "hash": HashFeatures,
+    "voxel": VoxelFeatures,
+}
 
 
 class EncodedColor:
@@ -21,7 +30,7 @@ class EncodedColor:
 
     kind = "headed"
 
-    def __init__(self, features, head, values: np.ndarray) -> None:
+    def __init__(self, features: Features, head: Head, values: np.ndarray) -> None:
         if len(values) != features.length + head.length:
             raise InvalidValue(
                 f"{features.kind} color: {len(values)} values where {features.length + head.length} were expected"
@@ -52,19 +61,17 @@ class EncodedColor:
         return self.values[self.features.length :]
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """Return (begin, end, learning-rate factor) of slices of `values`."""
         features, end = self.features, len(self.values)
         return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "EncodedColor":
         """Return the same color at a larger capacity."""
-        features, table = self.features.grown(self.table, capacity, generator)
+        features, table = self.features.grown(self.table, capacity)
         return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """See ColorPart.colors."""
         out = uncolored(points, threads, arena)
         packed = Packed.weighted(points, threads)
         phi = self.features.encode(self.table, points.x, packed.index, threads)
@@ -72,13 +79,11 @@ class EncodedColor:
         return out
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
         at = self.features.length
         packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, at, to)
         self.features.backward(self.table, points.x, packed.index, gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
         unused = np.zeros((threads, self.head.length), np.float32)
         packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, 0, unused)
         self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
@@ -90,7 +95,6 @@ class EncodedColor:
         return packed, self.head.backward(phi, self.numbers, basis, packed, colors, color_gradients, at, to)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """Add the gradient of the features' total variation to buffer `to` [len(values)]."""
         self.features.smooth(self.table, strength, to)
 
     def describe(self) -> dict:

@@ -5,9 +5,7 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.hash_color import level_layout
-from stylerf.fields.hash_levels import grid_of
-from stylerf.kernels.cpu import hash_encoding as kernels
+from stylerf.fields.hash_grid import HashFeatures, Levels, grid_of
 from stylerf.kernels.cpu.simd_hash import ROW
 
 
@@ -21,17 +19,12 @@ class HashEncoding:
     kind = "hash-encoding"
 
     def __init__(self, levels: int, base: int, finest: int, table: int, values: np.ndarray) -> None:
-        if not 1 <= levels <= 32 or not 1 <= base <= finest <= 4096 or table < 8 or table & (table - 1):
-            raise InvalidValue(
-                f"hash encoding: {levels} levels (1..32) of {base}..{finest} cells (1..4096), tables of {table} "
-                "vertices (a power of two)"
-            )
-        self.levels, self.base, self.finest, self.table = int(levels), int(base), int(finest), int(table)
-        self.layout, expected = level_layout(self.levels, self.base, self.finest, self.table)
-        if expected >= 2**31 or values.shape != (expected,) or values.dtype != np.float32:
+        self.features = HashFeatures(Levels(int(levels), int(base), int(finest), int(table), ROW, int(levels)))
+        expected = self.features.length
+        if values.shape != (expected,) or values.dtype != np.float32:
             raise InvalidValue(f"hash encoding: {expected} float32 values expected, found {values.dtype}{values.shape}")
-        self.values = values
-        self._levels = (np.int8(0),) * self.levels
+        self.levels, self.base, self.finest, self.table = int(levels), int(base), int(finest), int(table)
+        self.values, self.layout, self.width = values, self.features.layout, self.features.width
 
     @classmethod
     def create(
@@ -44,26 +37,18 @@ class HashEncoding:
         spread: float = 1e-2,
     ) -> "HashEncoding":
         """Create features uniform in -spread..spread; the 1e-4 of Mueller et al. takes hundreds of steps to grow."""
-        count = level_layout(levels, base, finest, table)[1]
+        count = Levels(levels, base, finest, table, ROW, levels).length
         return cls(levels, base, finest, table, generator.uniform(-spread, spread, count).astype(np.float32))
-
-    @property
-    def width(self) -> int:
-        """Features per point."""
-        return self.levels * ROW
 
     def forward(self, x: np.ndarray, threads: int) -> Tensor:
         """Return phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, outside of autograd."""
-        out = torch.empty(len(x), self.width)
-        kernels.encode(
-            self.values, self.layout, self._levels, np.ascontiguousarray(x, np.float32), threads, out.numpy()
-        )
-        return out
+        x = np.ascontiguousarray(x, np.float32)
+        return torch.from_numpy(self.features.encode(self.values, x, np.arange(len(x)), threads))
 
     def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
         """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
         x, gradients = (np.ascontiguousarray(array, np.float32) for array in (x, gradients))
-        kernels.encode_backward(self.layout, self._levels, x, gradients, len(to), to)
+        self.features.backward(self.values, x, np.arange(len(x)), gradients, to)
 
     def __call__(self, x: np.ndarray, to: np.ndarray) -> Tensor:
         """Return phi for autograd; its backward adds dL/d(values) to the buffers `to` [threads, len(values)].
@@ -74,13 +59,7 @@ class HashEncoding:
         return _Encode.apply(torch.zeros((), requires_grad=True), self, x, to)
 
     def describe(self) -> dict:
-        return {
-            "kind": self.kind,
-            "levels": self.levels,
-            "base": self.base,
-            "finest": self.finest,
-            "table": self.table,
-        }
+        return {"kind": self.kind, **self.features.levels.describe(growing=False)}
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "HashEncoding":

@@ -1,16 +1,53 @@
-"""Marching rays through a density of any kind: what the kinds' kernels share."""
+"""What a march of rays takes beside rays and density, as the CPU kernels read it, and the memory of its samples.
 
-from collections.abc import Callable
+A batch of rays reserves many times the memory that its samples fill. Fresh from the operating system, every page that
+is written would first be mapped and cleared; a scratch arena hands out the pages that the last batch has written.
+"""
+
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels.cpu.ray_samples import Density, Displacement, MarchSettings, Occupancy, Rays, Samples, Space
+from stylerf.kernels.cpu.ray_samples import Displacement, MarchSettings, Occupancy, Space
 
 NO_DISPLACEMENT = Displacement(np.empty(0, np.float32), 0)
+
+
+class ScratchArena:
+    """Hands out arrays of undefined content, the same memory again after each reset().
+
+    Nothing taken from an arena may be used after its reset(). An arena serves one thread.
+    """
+
+    def __init__(self) -> None:
+        self._blocks: list[np.ndarray] = []
+        self._used = 0
+
+    def reset(self) -> "ScratchArena":
+        """Take back all arrays; returns the arena itself."""
+        self._used = 0
+        return self
+
+    def empty(self, shape: tuple[int, ...], dtype=np.float32) -> np.ndarray:
+        """Return an array that overlaps no other since the last reset()."""
+        dtype = np.dtype(dtype)
+        length = math.prod(shape) * dtype.itemsize
+        if self._used == len(self._blocks):
+            self._blocks.append(np.empty(0, np.uint8))
+        if len(self._blocks[self._used]) < length:
+            # Batches grow little by little: with a quarter to spare, few of them need a new block.
+            self._blocks[self._used] = np.empty(length + length // 4, np.uint8)
+        block = self._blocks[self._used]
+        self._used += 1
+        return block[:length].view(dtype).reshape(shape)
+
+
+def empty_array(shape: tuple[int, ...], arena: ScratchArena | None) -> np.ndarray:
+    """Return a float32 array of undefined content, from the arena if there is one."""
+    return np.empty(shape, np.float32) if arena is None else arena.empty(shape)
 
 
 @dataclass(frozen=True)
@@ -26,38 +63,13 @@ class MarchInputs:
 
 
 def space_arrays(space: SpaceWarp) -> Space:
-    """Return a warp of space as the kernels take it."""
     return Space(space.code, space.packed(), np.float32(space.far))
 
 
 def occupancy_arrays(occupancy: OccupancyGrid) -> Occupancy:
-    """Return an occupancy grid as the kernels take it."""
     return Occupancy(occupancy.distances, occupancy.cells)
 
 
 def displacement_arrays(displacement: np.ndarray | None) -> Displacement:
     """Return a displacement grid [m, m, m, 3], or none, as the kernels take it."""
     return NO_DISPLACEMENT if displacement is None else Displacement(displacement.reshape(-1), len(displacement))
-
-
-def march(kernel: Callable, density: Density, shape: tuple, rays: Rays, inputs: MarchInputs) -> Samples:
-    """March rays by the kernel of one kind of density.
-
-    Args:
-        kernel: march_density of that kind.
-        density: its numbers. shape: the tuple whose length its kernel needs at compile time.
-        rays: [rays]. inputs: everything else.
-
-    Returns:
-        Samples with room for samples_per_ray on every ray; only the pages that are written take memory.
-    """
-    n, arena = len(rays.origins), inputs.arena
-    size = n * inputs.settings.samples_per_ray
-    t, deltas, sigma, weights = (empty_array((size,), arena) for _ in range(4))
-    starts, ends = np.empty(n, np.int64), np.empty(n, np.int64)
-    samples = Samples(starts, ends, t, deltas, empty_array((size, 3), arena), sigma, weights)
-    kernel(
-        density, shape, rays, inputs.space, inputs.occupancy, inputs.displacement, inputs.settings, inputs.threads,
-        samples,
-    )  # fmt: skip
-    return samples

@@ -11,7 +11,8 @@ import numpy as np
 
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.cpu.compositing import count_visible, pack_visible, unpack, visible_weights
+from stylerf.kernels.cpu.color_heads import count_marked
+from stylerf.kernels.cpu.compositing import pack_visible, unpack, visible_weights
 from stylerf.kernels.cpu.ray_samples import Rays, ShadingPoints
 
 RAYS_AT_ONCE = 8192
@@ -97,7 +98,7 @@ def surface_of(
         samples = field.march(rays, 512, min_transmittance, threads)
         visible, count = np.empty_like(samples.weights), np.empty(len(samples.ends), np.int64)
         visible_weights(samples, np.float32(weight_threshold), threads, visible)
-        count_visible(visible, samples.starts, samples.ends, threads, count)
+        count_marked(visible.reshape(-1, 1), np.float32(0), samples.starts, samples.ends, threads, count)
         offsets = np.concatenate([[0], np.cumsum(count)])
         x, weights = np.empty((offsets[-1], 3), np.uint16), np.empty(offsets[-1], np.float32)
         pack_visible(visible, samples, offsets, threads, x, weights)

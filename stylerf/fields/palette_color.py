@@ -1,28 +1,109 @@
-"""A palette for the whole scene, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited at once."""
+"""A palette for the whole scene, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited at once.
 
+Its heads (section 4). With phi the features of a place and Y the harmonics of a direction:
+
+    diffuse   f = sigmoid(A phi + b)                      independent of the view
+    specular  s = tanh(S2 relu(S1 (phi, Y)))              dependent on the view
+    palette   h = F2 relu(F1 (phi, f)),  15 numbers;  O h = z [M], delta [M, 3], I
+              w_i = (softplus(z_i) + 0.05) / sum
+
+    direct color f + s,  palette color sum_i w_i softplus(I) (P_i + delta_i) + s
+"""
+
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import linear, softplus
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_heads import Packed, uncolored
-from stylerf.fields.encoders import HashFeatures
-from stylerf.fields.hash_levels import Levels
-from stylerf.fields.palette_head import DEGREE, PaletteHead, Parts
-from stylerf.fields.recoloring import Recoloring, recolored
-from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.fields.hash_grid import HashFeatures, Levels
+from stylerf.fields.marching import ScratchArena
+from stylerf.fields.palette_edits import Recoloring, recolored
+from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import ROW
 
 POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
+DEGREE = 2
+VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
+MIN_WEIGHT = 0.05  # before normalization
+EVEN = math.log(math.e - 1)  # its softplus is 1
+
+
+@dataclass(frozen=True)
+class Parts:
+    """diffuse, specular [n, 3]; weights [n, M], each row adds up to 1; offsets [n, M, 3]; intensity [n, 1] > 0."""
+
+    diffuse: Tensor
+    specular: Tensor
+    weights: Tensor
+    offsets: Tensor
+    intensity: Tensor
+
+    def mixed(self, palette: Tensor) -> Tensor:
+        """Return [n, 3]: sum_i w_i I (P_i + delta_i), without the specular part."""
+        return self.intensity * (self.weights @ palette + (self.weights[..., None] * self.offsets).sum(1))
+
+
+class PaletteHead:
+    """numbers: weights [outputs, inputs] and biases of each layer, A, S1, S2, F1, F2, O."""
+
+    def __init__(self, features: int, bases: int) -> None:
+        self.features, self.bases = features, bases
+        self.layers = [
+            (features, 3),
+            (features + BANDS[DEGREE], VIEW_UNITS),
+            (VIEW_UNITS, 3),
+            (features + 3, UNITS),
+            (UNITS, CODE),
+            (CODE, 4 * bases + 1),
+        ]
+
+    @property
+    def length(self) -> int:
+        """Number of values."""
+        return sum((inside + 1) * outside for inside, outside in self.layers)
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        """Return uniform initial values (He et al. 2015): weights nearly even, offsets nearly 0, intensity nearly 1."""
+        parts = []
+        for number, (inside, outside) in enumerate(self.layers):
+            bound = math.sqrt(6 / inside) * (0.1 if number in (2, 5) else 1.0)
+            parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
+        parts[-1][-1] = EVEN
+        return np.concatenate(parts).astype(np.float32)
+
+    def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
+        """Return the parts at points with features phi [n, features], seen from directions with harmonics [n, 9].
+
+        apart: no gradient flows from the palette branch to the diffuse color that it reads.
+        """
+        sizes = [size for inside, outside in self.layers for size in (inside * outside, outside)]
+        # clone: the alignment of a slice can change the last bit of a matrix product.
+        flat = iter([part.clone() for part in numbers.split(sizes)])
+
+        def layer(number: int, values: Tensor) -> Tensor:
+            inside, outside = self.layers[number]
+            return linear(values, next(flat).view(outside, inside), next(flat))
+
+        diffuse = torch.sigmoid(layer(0, phi))
+        specular = torch.tanh(layer(2, layer(1, torch.cat([phi, basis], 1)).relu()))
+        read = torch.cat([phi, diffuse.detach() if apart else diffuse], 1)
+        outputs = layer(5, layer(4, layer(3, read).relu()))
+        raw = softplus(outputs[:, : self.bases]) + MIN_WEIGHT
+        offsets = outputs[:, self.bases : 4 * self.bases].reshape(-1, self.bases, 3)
+        return Parts(diffuse, specular, raw / raw.sum(1, keepdim=True), offsets, softplus(outputs[:, -1:]))
 
 
 class PaletteColor:
-    """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) of fields/palette_head.py, after `edits`.
+    """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) after `edits`.
 
     values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; part of describe();
     they do not learn.
@@ -58,8 +139,6 @@ class PaletteColor:
         """Return the color with one more edit; `values` are shared."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
-    # -- its values -------------------------------------------------------------------------------------------------
-
     @property
     def finest(self) -> int:
         """Cells per side of the finest level."""
@@ -92,8 +171,6 @@ class PaletteColor:
         begin, end = self.features.length, self.features.length + 3 * self.bases
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 
-    # -- colors ----------------------------------------------------------------------------------------------------
-
     def parts(self, rest: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> tuple[Parts, Tensor]:
         """(Parts, palette [bases, 3]) from palette and head as one tensor; see PaletteHead.parts."""
         palette, numbers = rest[: 3 * self.bases], rest[3 * self.bases :]
@@ -111,7 +188,6 @@ class PaletteColor:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """See ColorPart.colors."""
         out, rest, x = uncolored(points, threads, arena), torch.from_numpy(self.rest), points.x
         packed = Packed.weighted(points, threads)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
@@ -121,7 +197,6 @@ class PaletteColor:
         return out
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
         packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
         self.features.backward(self.table, points.x, packed.index, gradients, to)
         to[0, self.features.length :] += own
@@ -142,16 +217,13 @@ class PaletteColor:
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
             shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
-            shown.backward(torch.from_numpy(color_gradients[index]))
-            gradients[part] = phi.grad.numpy()
-            own += rest.grad.numpy()
+            of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(color_gradients[index]))
+            gradients[part] = of_phi.numpy()
+            own += of_rest.numpy()
         return packed, gradients, own
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """Add the gradient of the features' total variation to buffer `to` [len(values)]."""
         self.features.smooth(self.table, strength, to)
-
-    # -- what is kept -----------------------------------------------------------------------------------------------
 
     def describe(self) -> dict:
         edits = [edit.describe() for edit in self.edits]

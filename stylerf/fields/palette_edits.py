@@ -1,13 +1,25 @@
-"""What a user changes of a learned palette; nothing is trained again (LAENeRF, 3.5 and eq. 4 of its supplement)."""
+"""What a user changes of a learned palette; nothing is trained again.
 
-from collections.abc import Mapping
+PaletteEdits change colors and weights by their index (LAENeRF, 3.5 and eq. 4 of its supplement). A Recoloring applies
+them to a decomposed field, everywhere or around a place (PaletteNeRF, Kuang et al. 2023): a basis color is
+I (P_i + delta_i), of every place its own. Another palette color turns its hue and scales its saturation and value as it
+turns and scales P_i: shading and texture stay.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
+from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.srgb import LUMA
+
+GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
+DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
 
 
 @dataclass(frozen=True)
@@ -18,7 +30,7 @@ class PaletteEdits:
     code takes max); a row of zeros falls back to w.
     """
 
-    colors: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
+    colors: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     scales: Mapping[int, float] = field(default_factory=dict)
     biases: Mapping[int, float] = field(default_factory=dict)
 
@@ -97,3 +109,150 @@ def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, 
     lumas = palette @ np.asarray(LUMA, palette.dtype)
     mean = float((lumas * shares).sum() / max(float(np.sum(shares)), 1e-9))
     return np.clip(np.asarray(target, palette.dtype) * (lumas / max(mean, 1e-3))[:, None], 0, 1)
+
+
+@dataclass(frozen=True)
+class SpaceFilter:
+    """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centers c the nearest counts."""
+
+    space: SpaceWarp
+    centers: tuple[tuple[float, ...], ...]  # x, y, z each
+    reach: float
+
+    def __post_init__(self) -> None:
+        if not self.centers or not np.isfinite(self.centers).all() or not (0 < self.reach < np.inf):
+            raise InvalidValue(f"an edit's filter needs places and a reach over 0, found {self.centers}, {self.reach}")
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """[n] float32 in 0..1 of cube points [n, 3]."""
+        places = self.space.unwarp(x)
+        squares = np.min([np.square(places - np.asarray(center)).sum(1) for center in self.centers], axis=0)
+        return np.exp(-squares / self.reach**2).astype(np.float32)
+
+    def describe(self) -> dict:
+        """As JSON keeps it."""
+        centers = [[float(v) for v in center] for center in self.centers]
+        return {"space": self.space.describe(), "centers": centers, "reach": float(self.reach)}
+
+    @classmethod
+    def restore(cls, data: dict) -> "SpaceFilter":
+        centers = tuple(map(tuple, validation.rows(data, "centers", None, 3)))
+        return cls(
+            SpaceWarp.restore(validation.entry(data, "space")),
+            centers,
+            validation.number(data, "reach", 1 / validation.LARGEST),
+        )
+
+
+@dataclass(frozen=True)
+class Recoloring:
+    """One edit. changes: of palette colors and weights. offset_scale, view_scale: factors of the offsets delta and of
+    what depends on the view. within: where it applies; None: everywhere."""
+
+    changes: PaletteEdits = field(default_factory=PaletteEdits)
+    offset_scale: float = 1.0
+    view_scale: float = 1.0
+    within: SpaceFilter | None = None
+
+    def share(self, x: np.ndarray) -> Tensor:
+        """[n, 1] float32: how far it applies to cube points [n, 3]."""
+        found = np.ones(len(x), np.float32) if self.within is None else self.within(x)
+        return torch.from_numpy(found)[:, None]
+
+    def describe(self) -> dict:
+        """As JSON keeps it."""
+        return {
+            "changes": self.changes.describe(),
+            "offset_scale": float(self.offset_scale),
+            "view_scale": float(self.view_scale),
+            "within": None if self.within is None else self.within.describe(),
+        }
+
+    @classmethod
+    def restore(cls, data: dict) -> "Recoloring":
+        within = validation.entry(data, "within")
+        offset_scale, view_scale = (validation.number(data, f"{what}_scale", 0) for what in ("offset", "view"))
+        changes = PaletteEdits.restore(validation.entry(data, "changes"))
+        return cls(changes, offset_scale, view_scale, None if within is None else SpaceFilter.restore(within))
+
+
+def recolored(
+    weights: Tensor,  # [n, M], rows add up to 1
+    offsets: Tensor,  # [n, M, 3]
+    intensity: Tensor,  # [n, 1]
+    specular: Tensor,  # [n, 3]
+    palette: Tensor,  # [M, 3]
+    edits: Sequence[Recoloring],
+    x: np.ndarray,  # [n, 3] in the cube
+) -> Tensor:
+    """[n, 3], not clamped: sum_i w_i I (P_i + delta_i) + s after the edits, each upon those before it."""
+    shares = [edit.share(x).to(weights) for edit in edits]
+    for edit, share in zip(edits, shares):
+        offsets = offsets * (1 + share * (edit.offset_scale - 1))[..., None]
+        specular = specular * (1 + share * (edit.view_scale - 1))
+    bases = list((intensity[..., None] * (palette + offsets)).unbind(1))
+    # The current palette at each place: a later edit elsewhere starts from what was learned, here from this one.
+    present = list(palette.expand(len(weights), *palette.shape).unbind(1))
+    for edit, share in zip(edits, shares):
+        edit.changes.check(len(bases))
+        weights = (1 - share) * weights + share * _weights(edit.changes, weights)
+        for index, color in edit.changes.colors.items():
+            new = torch.as_tensor(color, dtype=weights.dtype)
+            bases[index] = (1 - share) * bases[index] + share * shifted(bases[index], present[index], new)
+            present[index] = (1 - share) * present[index] + share * new
+    return sum(weights[:, i : i + 1] * basis for i, basis in enumerate(bases)) + specular
+
+
+def _weights(changes: PaletteEdits, weights: Tensor) -> Tensor:
+    """PaletteEdits.weights on tensors, which gradients pass."""
+    if not changes.scales and not changes.biases:
+        return weights
+    scales, biases = torch.ones(weights.shape[1]).to(weights), torch.zeros(weights.shape[1]).to(weights)
+    for to, values in ((scales, changes.scales), (biases, changes.biases)):
+        for index, value in values.items():
+            to[index] = value
+    changed = (scales * weights + biases).clamp_min(0)
+    total = changed.sum(1, keepdim=True)
+    return torch.where(total > 1e-6, changed / total.clamp_min(1e-6), weights)
+
+
+def shifted(colors: Tensor, old: Tensor, new: Tensor) -> Tensor:
+    """Colors [n, 3] as a palette color `old` [n, 3] or [3] becomes `new` [3]: hue turned by the difference of the two
+    hues, saturation and value scaled by their ratios.
+
+    A color between black and white has neither hue nor saturation: where `old` is nearly one, both are the new one's.
+    """
+    (hue, saturation, value), (hue_old, saturation_old, value_old), (hue_new, saturation_new, value_new) = (
+        to_hsv(one) for one in (colors, old, new)
+    )
+    gray = saturation_old < GRAYISH
+    turned = torch.remainder(hue + hue_new - hue_old, 1.0)
+    scaled = (saturation * saturation_new / saturation_old.clamp_min(GRAYISH)).clamp(0, 1)
+    return from_hsv(
+        torch.where(gray, hue_new.expand_as(turned), turned),
+        torch.where(gray, saturation_new.expand_as(scaled), scaled),
+        value * value_new / value_old.clamp_min(DARKEST),
+    )
+
+
+def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Hue in 0..1, saturation in 0..1, value >= 0, each [...], of colors [..., 3]; what is negative counts as 0."""
+    red, green, blue = colors.clamp_min(0).unbind(-1)
+    value = torch.maximum(torch.maximum(red, green), blue)
+    chroma = value - torch.minimum(torch.minimum(red, green), blue)
+    safe = chroma.clamp_min(1e-8)
+    sixths = torch.where(
+        value == red,
+        torch.remainder((green - blue) / safe, 6.0),
+        torch.where(value == green, (blue - red) / safe + 2, (red - green) / safe + 4),
+    )
+    return torch.where(chroma > 1e-8, sixths / 6, torch.zeros_like(sixths)), chroma / value.clamp_min(1e-8), value
+
+
+def from_hsv(hue: Tensor, saturation: Tensor, value: Tensor) -> Tensor:
+    """Invert to_hsv, [..., 3]."""
+    channels = []
+    for begin in (5.0, 3.0, 1.0):
+        k = torch.remainder(begin + 6 * hue, 6.0)
+        channels.append(value - value * saturation * torch.minimum(k, 4 - k).clamp(0, 1))
+    return torch.stack(channels, -1)

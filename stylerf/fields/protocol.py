@@ -12,21 +12,48 @@ The parts on a GPU (fields/gpu) are apart: tensors instead of arrays, directions
 by a threshold relative to each ray's largest weight (`visible_colors`).
 """
 
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import MarchInputs
-from stylerf.fields.scratch_arena import ScratchArena
+from stylerf.fields.marching import MarchInputs, ScratchArena
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.kernels.cpu.ray_samples import Rays, Samples, ShadingPoints
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """The size of a part: one description that every kind interprets, so that one search serves all kinds.
+
+    Attributes:
+        size: [3] vertices per axis of grids and planes.
+        resolution: their mean, and the most cells per side of a hash level.
+        density_rank, color_rank: ranks of vm parts.
+        table: most vertices of a hash level. levels: number of hash levels. finest: cells per side of the finest one.
+        occupancy: selects the blocks that a voxel grid allocates (None: all) and weights the pruning of ranks.
+        degree: of the color's spherical harmonics.
+    """
+
+    size: np.ndarray
+    resolution: int
+    density_rank: int = 16
+    color_rank: int = 24
+    table: int = 1 << 16
+    levels: int = 8
+    finest: int = 256
+    occupancy: OccupancyGrid | None = None
+    degree: int = 1
 
 
 class Part(Protocol):
     """What density and color have in common."""
 
     kind: str
-    values: np.ndarray
+
+    @property
+    def values(self) -> np.ndarray:
+        """All that learns, written in place."""
 
     def groups(self) -> list[tuple[int, int, float]]:
         """Return (begin, end, learning-rate factor) of slices of `values`; anything outside them never learns."""
@@ -35,11 +62,15 @@ class Part(Protocol):
         """Add the gradient of `strength` times the part's total variation to one buffer `to` [len(values)]."""
 
     def describe(self) -> dict:
-        """Return everything but `values`, as JSON; "kind" selects the class that restores it."""
+        """Return everything but the arrays, as JSON; "kind" selects the class that restores it."""
+
+
+class Restorable(Protocol):
+    """A part whose describe() and `values` are all the state there is."""
 
     @classmethod
-    def restore(cls, data: dict, values: np.ndarray) -> "Part":
-        """Rebuild a part from describe() and `values`.
+    def restore(cls, data: dict, values: np.ndarray) -> Self:
+        """Rebuild a part.
 
         Raises:
             InvalidValue: the two do not make a valid part.
@@ -50,12 +81,12 @@ class Part(Protocol):
 class Growing(Protocol):
     """A part that the capacity search can enlarge (training/fit/settings.py)."""
 
-    def grown(self, capacity: Capacity, generator: np.random.Generator) -> "Growing":
+    def grown(self, capacity: Capacity, generator: np.random.Generator) -> Self:
         """Return the same function at a larger capacity, as closely as that can represent it."""
 
 
 @runtime_checkable
-class DensityPart(Part, Protocol):
+class DensityPart(Part, Restorable, Protocol):
     """Raw density: optical depth per hundredth of the unit cube (decision 0002)."""
 
     def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
@@ -75,16 +106,18 @@ class DensityPart(Part, Protocol):
 class ColorPart(Part, Protocol):
     """Colors 0..1, sRGB-encoded, that may depend on the view direction."""
 
-    degree: int  # of the spherical harmonics it reads; 0: the color does not depend on the view
+    @property
+    def degree(self) -> int:
+        """Of the spherical harmonics it reads; 0: the color does not depend on the view."""
 
     def colors(
-        self, points: ShadingPoints, basis: np.ndarray | None, threads: int, arena: ScratchArena | None = None
+        self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
         """Color the points of positive weight.
 
         Args:
             points: positions along rays and their weights.
-            basis: [rays, bands], spherical harmonics of the rays' directions; None for parts that do not read them.
+            basis: [rays, bands], spherical harmonics of the rays' directions.
             threads: partitions of the rays.
             arena: where the result's memory comes from; None: new memory.
 
@@ -97,3 +130,7 @@ class ColorPart(Part, Protocol):
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
         """Add dL/dx to out [n, 3]."""
+
+
+class RestorableColor(ColorPart, Restorable, Protocol):
+    """Every color but a region's, which has further arrays."""

@@ -4,28 +4,58 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.color_map import ColorMap
 from stylerf.fields.encoded_color import EncodedColor
-from stylerf.fields.hash_color import HashColor
-from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_arrays, space_arrays
+from stylerf.fields.hash_grid import HashColor, HashDensity
+from stylerf.fields.marching import MarchInputs, ScratchArena, displacement_arrays, occupancy_arrays, space_arrays
 from stylerf.fields.occupancy_grid import MAX_CELLS, OccupancyGrid
 from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.protocol import ColorPart, DensityPart
+from stylerf.fields.protocol import ColorPart, DensityPart, RestorableColor
 from stylerf.fields.region_color import RegionColor
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays, Samples
 
-DENSITY_KINDS = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
-COLOR_KINDS = {"vm": VmColor, "hash": HashColor, "headed": EncodedColor, "palette": PaletteColor}
+DENSITY_KINDS: dict[str, type[DensityPart]] = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
+COLOR_KINDS: dict[str, type[RestorableColor]] = {
+    "vm": VmColor,
+    "hash": HashColor,
+    "headed": EncodedColor,
+    "palette": PaletteColor,
+}
 MIN_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
 MOST_REGIONS = 100  # nested over one another
+
+
+@dataclass(frozen=True)
+class ColorMap:
+    """x' = matrix x + offset on sRGB colors of rendered pixels; matrix [3, 3], offset [3]."""
+
+    matrix: Tensor
+    offset: Tensor
+
+    def __call__(self, colors: Tensor) -> Tensor:
+        """Colors [..., 3] mapped, not clamped."""
+        return colors @ self.matrix.T.to(colors) + self.offset.to(colors)
+
+    def image(self, image: Tensor) -> Tensor:
+        """The same on an image [3, h, w], clamped to [0, 1]."""
+        return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
+
+    def after(self, first: "ColorMap") -> "ColorMap":
+        """The single map that does `first`, then this one."""
+        return ColorMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
+
+    def premultiplied(self, colors: Tensor, alpha: Tensor) -> Tensor:
+        """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
+        return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
+
+    def describe(self) -> dict:
+        return {"matrix": self.matrix.tolist(), "offset": self.offset.tolist()}
 
 
 @dataclass
@@ -91,16 +121,11 @@ class RadianceField:
         return {
             "space": self.space.describe(),
             "density": self.density.describe(),
-            "color": _described(self.color),
+            "color": self.color.describe(),
             "step": self.step,
             "cells": self.occupancy.cells,
             "share": self.weight_threshold,
-            "color_map": None
-            if self.color_map is None
-            else {
-                "matrix": self.color_map.matrix.tolist(),
-                "offset": self.color_map.offset.tolist(),
-            },
+            "color_map": None if self.color_map is None else self.color_map.describe(),
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -134,23 +159,12 @@ class RadianceField:
         )
 
 
-def layers_of(color) -> list:
+def layers_of(color: ColorPart) -> list[ColorPart]:
     """Return a color part followed by the parts under it, if it is a region's color over another."""
     return [color, *layers_of(color.base)] if isinstance(color, RegionColor) else [color]
 
 
-def _described(color) -> dict:
-    if not isinstance(color, RegionColor):
-        return color.describe()
-    return {
-        "kind": color.kind,
-        "cells": color.cells,
-        "own": color.own.describe(),
-        "base": _described(color.base),
-    }
-
-
-def _color_arrays(color, name: str) -> dict[str, np.ndarray]:
+def _color_arrays(color: ColorPart, name: str) -> dict[str, np.ndarray]:
     arrays = {name: color.values}
     if isinstance(color, RegionColor):
         arrays |= {f"{name}.marked": np.packbits(color.marked.reshape(-1))}
@@ -163,8 +177,8 @@ def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
     return validation.array(arrays, name, np.float32, (None,), validation.LEARNED)
 
 
-def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = MOST_REGIONS):
-    """Rebuild what _described and _color_arrays return. regions: how many may still be nested."""
+def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = MOST_REGIONS) -> ColorPart:
+    """Rebuild a color of describe() and _color_arrays(). regions: how many may still be nested."""
     kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if regions else [])])
     if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))

@@ -15,11 +15,14 @@ SWEEPS = 100  # of alternating least squares; more gain less than a hundredth of
 _AXES = ((1, 2), (2, 0), (0, 1))
 
 
-def texel_weights(occupancy: OccupancyGrid, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def texel_weights(occupancy: OccupancyGrid | None, size: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return, for m = 0, 1, 2, weights of plane m's texels, flat [size[a] * size[b]], and of line m's, [size[m]].
 
-    A texel's weight is the square root of the occupied fraction of the cells along its column, at least EMPTY.
+    A texel's weight is the square root of the occupied fraction of the cells along its column, at least EMPTY. Without
+    an occupancy all weights are 1.
     """
+    if occupancy is None:
+        return [(np.ones(size[a] * size[b]), np.ones(size[m])) for m, (a, b) in enumerate(_AXES)]
     occupied = (occupancy.distances.reshape((occupancy.cells,) * 3) == 0).astype(np.float32)
     weights = []
     for m, (a, b) in enumerate(_AXES):

@@ -7,9 +7,10 @@ Here only the region's samples are evaluated, and only its own values learn.
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.hash_color import HashColor
-from stylerf.fields.scratch_arena import ScratchArena
-from stylerf.kernels.cpu import region_color as kernels
+from stylerf.fields.hash_grid import HashColor
+from stylerf.fields.marching import ScratchArena
+from stylerf.fields.protocol import ColorPart
+from stylerf.kernels.cpu import regions as kernels
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 
@@ -24,7 +25,7 @@ class RegionColor:
 
     kind = "patch"
 
-    def __init__(self, base, own: HashColor, marked: np.ndarray) -> None:
+    def __init__(self, base: ColorPart, own: HashColor, marked: np.ndarray) -> None:
         s = marked.shape[0]
         if marked.shape != (s, s, s) or marked.dtype != bool or not marked.any():
             raise InvalidValue(f"region color: marked cells [s, s, s] of bool were expected, not {marked.shape}")
@@ -33,7 +34,9 @@ class RegionColor:
         self.low, self.side = box_of(self.marked)
 
     @classmethod
-    def create(cls, base, marked: np.ndarray, pixel_cells: float, table: int = 1 << 15, levels: int = 8):
+    def create(
+        cls, base: ColorPart, marked: np.ndarray, pixel_cells: float, table: int = 1 << 15, levels: int = 8
+    ) -> "RegionColor":
         """Create a color equal to its base. pixel_cells: resolution of a grid over the cube with pixel-wide cells."""
         side = box_of(marked)[1]
         finest = int(np.clip(round(pixel_cells * side), 16, 1024)) if np.isfinite(pixel_cells) else 64
@@ -49,16 +52,14 @@ class RegionColor:
     @property
     def degree(self) -> int:
         """Of the spherical harmonics that the base reads."""
-        return getattr(self.base, "degree", 0)
+        return self.base.degree
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return self.own.groups()
 
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """See ColorPart.colors."""
         out = self.base.colors(points, basis, threads, arena)
         inside = points._replace(x=np.empty_like(points.x), weights=np.empty_like(points.weights))
         kernels.restrict(*self._cells_and_box, points, threads, inside.x, inside.weights)
@@ -75,7 +76,6 @@ class RegionColor:
         self.own.backward(inside, None, own_colors, color_gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
         self.base.add_position_gradients(points, basis, colors, color_gradients, out, threads)
         inside, own_colors = self._colored_inside(points, colors, threads)
         found = np.zeros(points.x.shape, np.float32)
@@ -85,6 +85,9 @@ class RegionColor:
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient that pulls the colors back to the base to buffer `to` [len(values)]."""
         self.own.smooth(strength, to)
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "cells": self.cells, "own": self.own.describe(), "base": self.base.describe()}
 
     @property
     def _cells_and_box(self) -> tuple:

@@ -1,4 +1,4 @@
-"""Vector-matrix density and color (TensoRF, Chen et al. 2022), on the CPU kernels.
+"""Vector-matrix density, color and features (TensoRF, Chen et al. 2022): planes and lines in one flat table.
 
 Every part keeps all it learns in one flat float32 array `values`, tables first. Gradients are flat buffers
 [threads, len(values)] of the same layout, and one optimizer serves every kind of part.
@@ -8,28 +8,106 @@ import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import MarchInputs, march
+from stylerf.fields.marching import ScratchArena, empty_array
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
 from stylerf.fields.rank_truncation import best_ranks, best_seen_ranks, texel_weights
-from stylerf.fields.scratch_arena import ScratchArena, empty_array
-from stylerf.fields.vm_tables import grid_of, initial_table, resized_table, split_table, table_length, widened_table
+from stylerf.fields.tables import TableDensity, TableFeatures
 from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
-from stylerf.kernels.cpu.deformation import color_position_gradient, density_position_gradient
-from stylerf.kernels.cpu.ray_samples import Density, LinearColor, Rays, Samples, ShadingPoints
+from stylerf.kernels.cpu.ray_samples import LinearColor, ShadingPoints
+
+MOST_VERTICES, MOST_RANK = 1 << 16, 64  # along an axis; a kernel is compiled for each rank
+_AXES = ((1, 2), (2, 0), (0, 1))
 
 
-class VmDensity:
+def grid_of(data: dict) -> tuple[np.ndarray, int]:
+    """Return size [3] and rank from the JSON form of a part, each checked against its bounds."""
+    size = validation.integers(data, "size", 3, 2, MOST_VERTICES)
+    return np.array(size, np.int64), validation.integer(data, "rank", 1, MOST_RANK)
+
+
+def table_length(size: np.ndarray, rank: int) -> int:
+    """Return the number of floats in the planes and lines."""
+    planes = sum(int(size[a]) * int(size[b]) for a, b in _AXES)
+    return (planes + int(size.sum())) * rank
+
+
+def split_table(table: np.ndarray, size: np.ndarray, rank: int) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return views of the table: planes [size[a], size[b], rank] and lines [size[m], rank]."""
+    planes, lines, at = [], [], 0
+    for a, b in _AXES:
+        n = int(size[a] * size[b] * rank)
+        planes.append(table[at : at + n].reshape(int(size[a]), int(size[b]), rank))
+        at += n
+    for m in range(3):
+        n = int(size[m] * rank)
+        lines.append(table[at : at + n].reshape(int(size[m]), rank))
+        at += n
+    return planes, lines
+
+
+def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, spread: float) -> np.ndarray:
+    table = np.empty(table_length(size, rank), np.float32)
+    planes, lines = split_table(table, size, rank)
+    for plane in planes:
+        plane[:] = generator.normal(scale=spread, size=plane.shape)
+    for line in lines:
+        line[:] = generator.normal(scale=spread, size=line.shape) + 0.3
+    return table
+
+
+def widened_table(
+    table: np.ndarray, size: np.ndarray, old: int, new: int, generator: np.random.Generator
+) -> np.ndarray:
+    """Add ranks: new planes are random, new lines zero, so that the function is unchanged."""
+    out = initial_table(np.asarray(size), new, generator, 0.1)
+    (planes, lines), (new_planes, new_lines) = split_table(table, size, old), split_table(out, size, new)
+    for source, target in zip(planes + lines, new_planes + new_lines):
+        target[..., :old] = source
+    for target in new_lines:
+        target[..., old:] = 0
+    return out
+
+
+def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
+    """Resample planes and lines to another grid: by interpolation if it is finer, else by least squares."""
+    out = np.empty(table_length(new, rank), np.float32)
+    onto = [_onto(int(before), int(after)) for before, after in zip(old, new)]
+    (planes, lines), (new_planes, new_lines) = split_table(table, old, rank), split_table(out, new, rank)
+    for (a, b), source, target in zip(_AXES, planes, new_planes):
+        along = (onto[a] @ source.reshape(int(old[a]), -1)).reshape(-1, int(old[b]), rank)
+        target[:] = np.einsum("nb,abr->anr", onto[b], along, optimize=True)
+    for m, (source, target) in enumerate(zip(lines, new_lines)):
+        target[:] = onto[m] @ source
+    return out
+
+
+def _onto(old: int, new: int) -> np.ndarray:
+    """Return [new, old] float32, the map from values on `old` vertices to the closest ones on `new`."""
+    if new >= old:
+        return _interpolation(new, old).astype(np.float32)
+    return np.linalg.pinv(_interpolation(old, new)).astype(np.float32)
+
+
+def _interpolation(at: int, vertices: int) -> np.ndarray:
+    """Return [at, vertices], linear interpolation of evenly spaced vertices at `at` even positions, ends included."""
+    place = np.linspace(0, vertices - 1, at)
+    first = np.minimum(place.astype(np.int64), vertices - 2)
+    matrix = np.zeros((at, vertices))
+    matrix[np.arange(at), first] = 1 - (place - first)
+    matrix[np.arange(at), first + 1] += place - first
+    return matrix
+
+
+class VmDensity(TableDensity):
     """Raw density exp(shift + sum of features) on the unit cube. values: table, shift."""
 
-    kind = "vm"
+    kind, kernels = "vm", kernels
 
     def __init__(self, size: np.ndarray, rank: int, values: np.ndarray) -> None:
-        self.size, self.rank, self.values = np.asarray(size, np.int64), int(rank), values
-        if len(values) != (expected := table_length(self.size, self.rank) + 1):
-            raise InvalidValue(f"vm density: {len(values)} values where {expected} were expected")
-        self._ranks = (np.int8(0),) * self.rank
+        self.size, self.rank = np.asarray(size, np.int64), int(rank)
+        super().__init__(values, table_length(self.size, self.rank), self.size, (np.int8(0),) * self.rank)
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
@@ -37,12 +115,7 @@ class VmDensity:
         table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
-    @property
-    def table(self) -> np.ndarray:
-        return self.values[:-1]
-
     def groups(self) -> list[tuple[int, int, float]]:
-        """Return (begin, end, learning-rate factor) of slices of `values`."""
         return [(0, len(self.values), 1.0)]
 
     def resized(self, size: np.ndarray) -> "VmDensity":
@@ -57,7 +130,7 @@ class VmDensity:
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
-    def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmDensity":
+    def narrowed(self, rank: int, occupancy: OccupancyGrid | None) -> "VmDensity":
         """Return the closest density with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
@@ -76,31 +149,9 @@ class VmDensity:
             made = self.narrowed(capacity.density_rank, capacity.occupancy)
         return made.resized(capacity.size)
 
-    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
-        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
-        out = np.empty(len(x), np.float32)
-        kernels.density_at(self._density, self._ranks, x, threads, out)
-        return out
-
-    @property
-    def _density(self) -> Density:
-        return Density(self.table, self.size, self.values[-1])
-
-    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
-        """March rays through the density."""
-        return march(kernels.march_density, self._density, self._ranks, rays, inputs)
-
-    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
-        kernels.density_backward(self._density, self._ranks, samples, sigma_gradients, to)
-
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
-        density_position_gradient(self.table, self.size, self._ranks, samples, sigma_gradients, threads, out)
-
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of the planes' total variation (mean squared difference) to buffer `to` [len(values)]."""
-        kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.values)), to)
+        kernels.smoothness_backward(self.table, self.size, self._shape, np.float32(strength / len(self.values)), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank}
@@ -155,7 +206,7 @@ class VmColor:
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
-    def narrowed(self, rank: int, occupancy: OccupancyGrid) -> "VmColor":
+    def narrowed(self, rank: int, occupancy: OccupancyGrid | None) -> "VmColor":
         """Return the closest color with fewer ranks, judged where `occupancy` is occupied."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
@@ -192,21 +243,18 @@ class VmColor:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """See ColorPart.colors."""
         out = empty_array((len(points.x), 3), arena)
         kernels.color(self._parameters, self._ranks, points, basis, threads, out)
         return out
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]."""
         kernels.color_backward(self._parameters, self._ranks, points, basis, colors, color_gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
-        color_position_gradient(self._parameters, self._ranks, points, basis, colors, color_gradients, threads, out)
+        given = points, basis, colors, color_gradients
+        kernels.color_position_gradient(self._parameters, self._ranks, *given, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
-        """See VmDensity.smooth."""
         kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.table)), to)
 
     def describe(self) -> dict:
@@ -215,3 +263,39 @@ class VmColor:
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "VmColor":
         return cls(*grid_of(data), validation.integer(data, "degree", 0, max(BANDS)), values)
+
+
+class VmFeatures(TableFeatures):
+    """Products of planes and lines, three times `rank` of them (TensoRF, eq. 7)."""
+
+    kind, kernels = "vm", kernels
+    fixed = 0  # floats, the table's first, that never learn
+    rate = 1.0  # factor of the learning rate
+
+    def __init__(self, size: np.ndarray, rank: int) -> None:
+        self.size, self.rank = np.asarray(size, np.int64), int(rank)
+        length = table_length(self.size, self.rank)
+        super().__init__(3 * self.rank, length, self.size, (np.int8(0),) * self.rank)
+
+    @classmethod
+    def of(cls, capacity: Capacity, degree: int) -> "VmFeatures":
+        """Create features of a capacity; the degree of the color's harmonics does not change them."""
+        return cls(capacity.size, capacity.color_rank)
+
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        return initial_table(self.size, self.rank, generator, 0.1)
+
+    def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["VmFeatures", np.ndarray]:
+        """Return the same features on another grid, and their table; a head has one width, so the rank stays."""
+        return VmFeatures(capacity.size, self.rank), resized_table(table, self.size, capacity.size, self.rank)
+
+    def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
+        """As VmColor.smooth."""
+        kernels.smoothness_backward(table, self.size, self._shape, np.float32(strength / self.length), to)
+
+    def describe(self) -> dict:
+        return {"kind": self.kind, "size": [int(s) for s in self.size], "rank": self.rank}
+
+    @classmethod
+    def restore(cls, data: dict) -> "VmFeatures":
+        return cls(*grid_of(data))

@@ -8,12 +8,11 @@ import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.capacity import Capacity
-from stylerf.fields.marching import MarchInputs, march
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
+from stylerf.fields.tables import TableDensity, TableFeatures
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
-from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
 BLOCK = 4  # vertices per side; at 256^3 a block is a cell of a 64^3 occupancy grid
 # Learning-rate factor: a step moves one voxel at a time, but all entries of a vm product at once (decision 0018).
@@ -100,16 +99,14 @@ def _touched(occupancy: OccupancyGrid, size: np.ndarray, blocks: tuple[int, int,
     return found
 
 
-class VoxelDensity:
+class VoxelDensity(TableDensity):
     """Raw density exp(shift + interpolated vertex values) on the unit cube. values: table [rows], shift."""
 
-    kind = "voxel"
+    kind, kernels = "voxel", kernels
 
     def __init__(self, grid: Grid, values: np.ndarray) -> None:
-        if len(values) != grid.rows + 1:
-            raise InvalidValue(f"voxel density: {len(values)} values where {grid.rows + 1} were expected")
-        self.grid, self.values = grid, values
-        self._widths = (np.int8(0),)
+        super().__init__(values, grid.rows, grid.links, (np.int8(0),))
+        self.grid = grid
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "VoxelDensity":
@@ -119,12 +116,8 @@ class VoxelDensity:
         values[: BLOCK**3] = EMPTY
         return cls(grid, values)
 
-    @property
-    def table(self) -> np.ndarray:
-        return self.values[:-1]
-
     def groups(self) -> list[tuple[int, int, float]]:
-        """Return (begin, end, learning-rate factor) of slices of `values`; the shared block 0 never learns."""
+        """As Part.groups; the shared block 0 never learns."""
         return [(BLOCK**3, len(self.values), RATE_FACTOR)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VoxelDensity":
@@ -134,34 +127,9 @@ class VoxelDensity:
         table[: BLOCK**3] = EMPTY
         return VoxelDensity(grid, np.append(table, self.values[-1]))
 
-    def sigma(self, x: np.ndarray, threads: int) -> np.ndarray:
-        """Return raw density [n] at points [n, 3] float32 in the unit cube."""
-        out = np.empty(len(x), np.float32)
-        kernels.density_at(self._density, self._widths, x, threads, out)
-        return out
-
-    @property
-    def _density(self) -> Density:
-        return Density(self.table, self.grid.links, self.values[-1])
-
-    def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
-        """March rays through the density."""
-        return march(kernels.march_density, self._density, self._widths, rays, inputs)
-
-    def backward(self, samples: Samples, sigma_gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)], from dL/d(sigma) [n]."""
-        kernels.density_backward(self.grid.links, self._widths, samples, sigma_gradients, to)
-
-    def add_position_gradients(self, samples: Samples, sigma_gradients, out: np.ndarray, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
-        kernels.density_position_gradient(
-            self.table, self.grid.links, self._widths, samples, sigma_gradients, threads, out
-        )
-
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared difference of neighbors to buffer `to`."""
-        strength = np.float32(strength / len(self.table))
-        kernels.smoothness_backward(self.table, self.grid.links, 1, strength, to)
+        kernels.smoothness_backward(self.table, self.layout, 1, np.float32(strength / len(self.table)), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, **self.grid.describe()}
@@ -171,56 +139,30 @@ class VoxelDensity:
         return cls(Grid.restore(data), values)
 
 
-class VoxelFeatures:
+class VoxelFeatures(TableFeatures):
     """`width` numbers per vertex of a voxel grid, interpolated trilinearly; for the harmonic head, its coefficients."""
 
-    kind = "voxel"
+    kind, kernels = "voxel", kernels
+    rate = RATE_FACTOR  # factor of the learning rate
 
     def __init__(self, grid: Grid, width: int) -> None:
-        self.grid, self.width = grid, width
-        self._widths = (np.int8(0),) * width
+        super().__init__(width, grid.rows * width, grid.links, (np.int8(0),) * width)
+        self.grid, self.fixed = grid, BLOCK**3 * width  # floats, the table's first, that never learn
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "VoxelFeatures":
         return cls(Grid.of(capacity), 3 * BANDS[degree])
 
-    @property
-    def length(self) -> int:
-        """Floats in the table."""
-        return self.grid.rows * self.width
-
-    @property
-    def fixed(self) -> int:
-        """Floats at the start of the table that never learn."""
-        return BLOCK**3 * self.width
-
-    rate = RATE_FACTOR  # factor of the learning rate
-
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
 
-    def grown(self, table: np.ndarray, capacity: Capacity, generator) -> tuple["VoxelFeatures", np.ndarray]:
+    def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["VoxelFeatures", np.ndarray]:
         """Return the same features interpolated to another grid, and their table."""
         new = VoxelFeatures(Grid.of(capacity), self.width)
-        return new, sampled(self.grid, table, self._widths, new.grid)
-
-    def encode(self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int) -> np.ndarray:
-        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube."""
-        out = np.empty((len(index), self.width), np.float32)
-        kernels.features(table, self.grid.links, self._widths, x, index, threads, out)
-        return out
-
-    def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
-        kernels.features_backward(self.grid.links, self._widths, x, index, gradients, len(to), to)
-
-    def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:
-        """Add dL/dx to out [n, 3]."""
-        kernels.features_position_gradient(table, self.grid.links, self._widths, x, index, gradients, threads, out)
+        return new, sampled(self.grid, table, self._shape, new.grid)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
-        """See VoxelDensity.smooth."""
-        kernels.smoothness_backward(table, self.grid.links, self.width, np.float32(strength / self.length), to)
+        kernels.smoothness_backward(table, self.layout, self.width, np.float32(strength / self.length), to)
 
     def describe(self) -> dict:
         return {"kind": self.kind, **self.grid.describe(), "width": self.width}

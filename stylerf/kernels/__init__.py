@@ -1,9 +1,7 @@
-"""Compute kernels with exact, hand-written backwards.
+"""Compute kernels with exact, hand-written backwards: `cpu` holds the numba kernels, `gpu` the Triton ones.
 
-`cpu` holds the numba kernels, `gpu` the Triton ones; `torch_reference` is the same mathematics in plain torch, for any
-dtype, to test them against. Compiled kernels are cached where the user can write, so that only the first run on a
-machine compiles, also with a read-only install or in a container. Kernels in a folder that somebody else could have
-written to are not executed.
+Compiled kernels are cached where the user can write, so that only the first run on a machine compiles, also with a
+read-only install or in a container. Kernels in a folder that somebody else could have written to are not executed.
 """
 
 import atexit
@@ -16,8 +14,7 @@ from pathlib import Path
 
 from llvmlite import binding
 
-from stylerf.environment.current_folder import current_folder
-from stylerf.environment.trusted_paths import not_ours, user_id
+from stylerf.environment.trusted_paths import current_folder, not_ours, user_id
 
 _NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 

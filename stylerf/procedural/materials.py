@@ -7,8 +7,7 @@ its color and has no diffuse part), light sent out beside the reflected.
 
 from math import atan2, cos, exp, floor, hypot, pi, sin
 
-from stylerf.procedural import shapes
-from stylerf.procedural.compiling import compiled
+from stylerf.procedural import compiled, shapes
 from stylerf.procedural.noise import fractal, lattice, noise, smoothstep
 
 

@@ -2,7 +2,7 @@
 
 from math import floor
 
-from stylerf.procedural.compiling import compiled
+from stylerf.procedural import compiled
 
 
 @compiled

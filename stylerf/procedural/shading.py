@@ -6,8 +6,7 @@ samples there and encoded to sRGB by the caller's last step.
 
 from math import sqrt
 
-from stylerf.procedural import shapes
-from stylerf.procedural.compiling import compiled, released
+from stylerf.procedural import compiled, released, shapes
 from stylerf.procedural.materials import surface
 from stylerf.procedural.noise import smoothstep
 from stylerf.procedural.tracing import MISS, nearest_hit, normal_at, openness, soft_shadow, to_local

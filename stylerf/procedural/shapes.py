@@ -7,7 +7,7 @@ by min, max and smooth min of functions with Lipschitz constant 1), so that a ra
 
 from math import hypot, sqrt
 
-from stylerf.procedural.compiling import compiled
+from stylerf.procedural import compiled
 
 DISC, VASE, PEAR, APPLE, LEMON, BOX, BOOK, TORUS, SPHERE, HOLDER, CANDLE, FLAME, GRAPES = range(13)
 

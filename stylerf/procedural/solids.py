@@ -71,61 +71,32 @@ def arrangement() -> list[Solid]:
     book = standing(0.47, 0.28, 32.0, height)
     cube = leaning_cube(book, 2 * depth, 2 * height, 0.145, 0.2)
     wax = 0.46
+    lemon = _around(0.22, 0.145, 0.145)
+    low = (-radius, -radius, -thick)
+    table = Solid("table", shapes.DISC, (radius, thick, 0.03), low, (radius, radius, 0.0), moved(0, 0, TABLE_TOP))
+    holder, candle = standing(-0.76, 0.16, -60.0), standing(-0.76, 0.16, 0.0, 0.105)
+    fire = standing(-0.757, 0.16, 0.0, 0.105 + wax + 0.01)
     return [
-        Solid(
-            "table",
-            shapes.DISC,
-            (radius, thick, 0.03),
-            (-radius, -radius, -thick),
-            (radius, radius, 0.0),
-            moved(0, 0, TABLE_TOP),
-        ),
+        table,
         Solid("vase", shapes.VASE, (), (-0.29, -0.29, 0.0), (0.29, 0.29, 1.115), standing(-0.16, 0.46, 20.0)),
         Solid("pear", shapes.PEAR, (), (-0.2, -0.2, 0.0), (0.2, 0.2, 0.605), standing(-0.33, -0.2, -50.0)),
         Solid("apple", shapes.APPLE, (), (-0.22, -0.22, 0.0), (0.22, 0.22, 0.41), standing(0.12, -0.27, 30.0)),
-        Solid(
-            "lemon", shapes.LEMON, (), (-0.22, -0.145, -0.145), (0.22, 0.145, 0.145), standing(0.52, -0.62, 35.0, 0.136)
-        ),
-        Solid(
-            "lemon on the book",
-            shapes.LEMON,
-            (),
-            (-0.22, -0.145, -0.145),
-            (0.22, 0.145, 0.145),
-            standing(0.52, 0.40, -25.0, 2 * height + 0.136),
-        ),
-        Solid("book", shapes.BOOK, (length, depth, height), (-length, -depth, -height), (length, depth, height), book),
-        Solid("cube", shapes.BOX, (0.145, 0.145, 0.145, 0.012), (-0.145,) * 3, (0.145,) * 3, cube),
-        Solid(
-            "ring",
-            shapes.TORUS,
-            (major, minor),
-            (-0.245, -0.245, -0.06),
-            (0.245, 0.245, 0.06),
-            standing(-0.70, -0.48, 0.0, minor),
-        ),
-        Solid("ball", shapes.SPHERE, (ball,), (-ball,) * 3, (ball,) * 3, standing(-0.70, -0.48, 40.0, rest)),
-        Solid(
-            "candle holder", shapes.HOLDER, (), (-0.21, -0.295, 0.0), (0.21, 0.21, 0.135), standing(-0.76, 0.16, -60.0)
-        ),
-        Solid(
-            "candle",
-            shapes.CANDLE,
-            (wax,),
-            (-0.08, -0.08, 0.0),
-            (0.08, 0.08, wax + 0.05),
-            standing(-0.76, 0.16, 0.0, 0.105),
-        ),
-        Solid(
-            "flame",
-            shapes.FLAME,
-            (),
-            (-0.04, -0.04, -0.002),
-            (0.04, 0.04, 0.165),
-            standing(-0.757, 0.16, 0.0, 0.105 + wax + 0.01),
-        ),
+        Solid("lemon", shapes.LEMON, (), *lemon, standing(0.52, -0.62, 35.0, 0.136)),
+        Solid("lemon on the book", shapes.LEMON, (), *lemon, standing(0.52, 0.40, -25.0, 2 * height + 0.136)),
+        Solid("book", shapes.BOOK, (length, depth, height), *_around(length, depth, height), book),
+        Solid("cube", shapes.BOX, (0.145, 0.145, 0.145, 0.012), *_around(0.145, 0.145, 0.145), cube),
+        Solid("ring", shapes.TORUS, (major, minor), *_around(0.245, 0.245, 0.06), standing(-0.70, -0.48, 0.0, minor)),
+        Solid("ball", shapes.SPHERE, (ball,), *_around(ball, ball, ball), standing(-0.70, -0.48, 40.0, rest)),
+        Solid("candle holder", shapes.HOLDER, (), (-0.21, -0.295, 0.0), (0.21, 0.21, 0.135), holder),
+        Solid("candle", shapes.CANDLE, (wax,), (-0.08, -0.08, 0.0), (0.08, 0.08, wax + 0.05), candle),
+        Solid("flame", shapes.FLAME, (), (-0.04, -0.04, -0.002), (0.04, 0.04, 0.165), fire),
         Solid("grapes", shapes.GRAPES, (), (-0.31, -0.27, 0.0), (0.27, 0.27, 0.27), standing(-0.12, -0.74, 15.0)),
     ]
+
+
+def _around(a: float, b: float, c: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return the corners of a box about the origin, of half sides a, b, c."""
+    return (-a, -b, -c), (a, b, c)
 
 
 def pack(solids: list[Solid]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

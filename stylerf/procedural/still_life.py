@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.procedural.shading import shade_rows
 from stylerf.procedural.solids import Solid, arrangement, pack
@@ -88,18 +89,6 @@ class StillLife:
         return self.trace(camera.center[None], directions).reshape(camera.height, camera.width)
 
 
-def looking_at(name: str, eye: np.ndarray, target: np.ndarray, width: int, height: int, focal: float) -> Camera:
-    """Return a camera at `eye` that looks at `target`, with +z up and a centered principal point."""
-    forward = np.asarray(target, np.float64) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = eye
-    return Camera(name, width, height, focal, focal, width / 2, height / 2, pose)
-
-
 def dome_cameras(
     count: int,
     size: int,
@@ -122,4 +111,6 @@ def dome_cameras(
     flat = np.sqrt(1.0 - heights**2)
     eyes = radius * np.stack([flat * np.cos(turns), flat * np.sin(turns), heights], axis=-1)
     focal = 0.5 * size / np.tan(0.5 * angle_x)
-    return [looking_at(f"{prefix}_{i:03d}", eye, np.zeros(3), size, size, focal) for i, eye in enumerate(eyes)]
+    poses = [look_at(eye, np.zeros(3), np.array([0.0, 0.0, 1.0])) for eye in eyes]
+    lens = size, size, focal, focal, size / 2, size / 2
+    return [Camera(f"{prefix}_{i:03d}", *lens, pose) for i, pose in enumerate(poses)]

@@ -8,7 +8,7 @@ from math import cos, floor, sin
 
 import numpy as np
 
-from stylerf.procedural.compiling import released
+from stylerf.procedural import released
 from stylerf.procedural.noise import lattice, noise, smoothstep
 
 

@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from stylerf.procedural.compiling import compiled, released
+from stylerf.procedural import compiled, released
 from stylerf.procedural.shapes import DISC, FLAME, shape_distance
 
 MISS = 1e9  # distance reported inside the kernels for "nothing hit"; infinities are not allowed under fastmath

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.displacement_grid import displacement_gradient, position_gradients
+from stylerf.fields.deformation import displacement_gradient, position_gradients
+from stylerf.fields.marching import ScratchArena, empty_array
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.scratch_arena import ScratchArena, empty_array
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import (
     composite,

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import alpha_inside, render_rays, with_surface_distance

@@ -6,10 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
+from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
+from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.rendering.view import RenderedView, view_of
 
 RAYS_AT_ONCE = 1 << 18

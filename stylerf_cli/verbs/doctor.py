@@ -127,7 +127,7 @@ def _gpu_kernels() -> dict[str, Any]:
 
     why = unavailable()
     if why is None:
-        from stylerf.fields.gpu.field import COLOR_KINDS, DENSITY_KINDS
+        from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS
 
         parts = f"densities {', '.join(DENSITY_KINDS)}; colors {', '.join(COLOR_KINDS)}"
         return _check("kernels", "gpu", True, f"Triton {version('triton')}: {parts}", needed=False)

@@ -8,19 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
-from stylerf.fields.hash_color import HashColor
-from stylerf.fields.hash_density import HashDensity
-from stylerf.fields.hash_levels import Levels
+from stylerf.fields.hash_grid import HashColor, HashDensity, Levels
 from stylerf.fields.occupancy_grid import OccupancyGrid
+from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import Grid, VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
+from tests.stylerf.kernels import torch_reference
 
 DENSITY_RANK, COLOR_RANK = 16, 24
 SIZE = (7, 6, 8)

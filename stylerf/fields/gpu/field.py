@@ -1,177 +1,36 @@
-"""A radiance field on a GPU: the parts' values as tensors, the Triton kernels behind them."""
+"""A radiance field on a GPU: its parts, rays through it, and its occupancy, updated without waiting for the device."""
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.gpu.encoded_color import GpuEncodedColor
-from stylerf.fields.gpu.grids import GpuHashDensity, GpuVoxelDensity
+from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS, GpuPart
+from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
+from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField, layers_of
-from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.geometry.spherical_harmonics import BANDS
-from stylerf.kernels.gpu import launch, launch_deform, launch_edit
-from stylerf.kernels.gpu.density import VM
-from stylerf.kernels.gpu.launch import GpuMarchInputs, GpuSamples
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.ray_samples import GpuMarchInputs, GpuRays, GpuSamples
 
-
-def _table(values: Tensor, length: int, half: bool) -> Tensor:
-    """Return the table's own memory, or a read-only copy in half precision."""
-    return values[:length].half() if half else values[:length]
-
-
-class GpuVmDensity:
-    """VmDensity of fields/vm.py on a GPU. half: the table is read in half precision and cannot learn."""
-
-    code, layout = VM.value, None
-
-    def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        self.values = torch.from_numpy(part.values).to(device, copy=True)
-        self.size, self.rank, self.groups = [int(s) for s in part.size], part.rank, part.groups()
-        self.width = launch.width_of(self.rank)
-        self.table, self.shift = _table(self.values, len(self.values) - 1, half), self.values[-1:]
-
-    def sigma(self, points: Tensor) -> Tensor:
-        """Raw density [n] of cube points [n, 3]."""
-        return launch.vm_density(self, points)
-
-    def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
-        """Add dL/d(values) to `to` [len(values)]."""
-        launch.vm_density_backward(self, samples, sigma_gradients, to)
-
-    def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
-        launch_deform.add_density_slopes(self, samples, sigma_gradients, out)
-
-    def smooth(self, strength: float, to: Tensor) -> None:
-        """See VmDensity.smooth."""
-        launch.smoothness(self, strength / len(self.values), to)
-
-
-class GpuVmColor:
-    """VmColor of fields/vm.py on a GPU."""
-
-    def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        self.values = torch.from_numpy(part.values).to(device, copy=True)
-        self.size, self.rank, self.groups = [int(s) for s in part.size], part.rank, part.groups()
-        self.bands = BANDS[part.degree]
-        self.table = _table(self.values, len(part.table), half)
-        self.head, self.bias = self.values[len(part.table) : -3], self.values[-3:]
-
-    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
-        """Color the samples of at least weight_threshold times their ray's largest weight.
-
-        Returns:
-            [room, 3] in 0..1; -1 in the first channel of all other samples.
-        """
-        return launch.vm_colors(self, samples, directions, weight_threshold)
-
-    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        """Add dL/d(values) to `to` [len(values)]."""
-        launch.vm_colors_backward(self, samples, directions, colors, color_gradients, to)
-
-    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out) -> None:
-        """Add dL/dx to out [room, 3]."""
-        launch_deform.add_vm_color_slopes(self, samples, directions, colors, color_gradients, out)
-
-    def smooth(self, strength: float, to: Tensor) -> None:
-        """See VmColor.smooth."""
-        launch.smoothness(self, strength / len(self.table), to)
-
-
-class GpuHashColor:
-    """HashColor of fields/hash_color.py on a GPU."""
-
-    def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        self.values = torch.from_numpy(part.values).to(device, copy=True)
-        self.levels, self.groups = part.levels, part.groups()
-        self.layout = torch.from_numpy(part.layout).to(device)
-        self.table = _table(self.values, len(self.values), half)
-
-    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        """See GpuVmColor.visible_colors; directions are not used."""
-        return launch.hash_colors(self, samples, weight_threshold)
-
-    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        """Add dL/d(values) to `to` [len(values)]."""
-        launch.hash_colors_backward(self, samples, colors, color_gradients, to)
-
-    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out) -> None:
-        """Add dL/dx to out [room, 3]."""
-        launch_deform.add_hash_color_slopes(self, samples, colors, color_gradients, out)
-
-    def smooth(self, strength: float, to: Tensor) -> None:
-        """See HashColor.smooth."""
-        to.add_(self.values, alpha=strength / len(self.values))
-
-
-class GpuRegionColor:
-    """RegionColor of fields/region_color.py, over a base of any kind. values: the region's own."""
-
-    def __init__(self, part, device: torch.device, half: bool = False) -> None:
-        self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
-        self._own = GpuHashColor(part.own, device, half)
-        self.values, self.table, self.groups = self._own.values, self._own.table, self._own.groups
-        self.layout, self.levels = self._own.layout, self._own.levels
-        self.marked, self.cells = marked_cells(part.marked, device), part.cells
-        box = np.array([*part.low, 1 / part.side], np.float32)
-        self.box = torch.from_numpy(box).to(device)
-
-    def visible_colors(self, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
-        """See GpuVmColor.visible_colors."""
-        out = self.base.visible_colors(samples, directions, weight_threshold)
-        launch_edit.region_colors(self, samples, out)
-        return out
-
-    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        """Add dL/d(values) to `to` [len(values)]."""
-        launch_edit.region_colors_backward(self, samples, colors, color_gradients, to)
-
-    def smooth(self, strength: float, to: Tensor) -> None:
-        """See RegionColor.smooth."""
-        self._own.smooth(strength, to)
-
-
-DENSITY_KINDS = {"vm": GpuVmDensity, "hash": GpuHashDensity, "voxel": GpuVoxelDensity}
-COLOR_KINDS = {
-    "vm": GpuVmColor,
-    "hash": GpuHashColor,
-    "headed": GpuEncodedColor,
-    "patch": GpuRegionColor,
-}
-
-
-def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
-    """Return cells [s, s, s] bool as the kernels read them: uint8 [s^3]."""
-    return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)
+FARTHEST = 32  # cells; larger occupancy distances are clamped to this: rays skip less, but never too far
 
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
     """Return why a field cannot be used on a GPU, or None. moving: it is to learn a deformation."""
-    colors = [(part, COLOR_KINDS) for part in layers_of(field.color)]
-    for part, kinds in ((field.density, DENSITY_KINDS), *colors):
-        known = [name for name, kind in kinds.items() if not moving or hasattr(kind, "add_position_gradients")]
+    parts: list[tuple[Part, Mapping[str, type[GpuPart]]]] = [(field.density, DENSITY_KINDS)]
+    parts += [(color, COLOR_KINDS) for color in layers_of(field.color)]
+    for part, kinds in parts:
+        known = [name for name, kind in kinds.items() if kind.moves or not moving]
         if part.kind not in known:
             what = "kernel that moves it" if moving and part.kind in kinds else "kernel"
             return f"a field part of kind {part.kind} has no GPU {what} (there are {', '.join(sorted(known))})"
     return None
-
-
-@dataclass
-class GpuRays:
-    """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step: float32 on the device."""
-
-    origins: Tensor
-    directions: Tensor
-    jitter: Tensor
-
-    @staticmethod
-    def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
-        """Copy rays to a device, to be marched from the middle of their first step."""
-        moved = [torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions)]
-        return GpuRays(*moved, torch.full((len(origins),), 0.5, device=device))
 
 
 @dataclass
@@ -196,7 +55,7 @@ class GpuField:
         if (why := unsupported(field)) is not None:
             raise InvalidValue(why)
         self.device = torch.device(device)
-        self.space: SpaceWarp = field.space
+        self.space = field.space
         self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
         self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
         self.cells, self.step = field.occupancy.cells, field.step
@@ -205,11 +64,12 @@ class GpuField:
         clear = field.occupancy.clear
         self.clear = None if clear is None else torch.from_numpy(clear).to(self.device, copy=True)
         self.highest = torch.from_numpy(field.occupancy.highest).to(self.device, copy=True)
-        self.displacement, self.vertices = None, 0
+        self.displacement: Tensor | None = None
+        self.vertices = 0
         if field.displacement is not None:
             self.displacement = torch.from_numpy(field.displacement.reshape(-1).copy()).to(self.device)
             self.vertices = field.displacement.shape[0]
-        self.color_map = None
+        self.color_map: tuple[Tensor, Tensor] | None = None
         if field.color_map is not None:
             matrix, offset = field.color_map.matrix, field.color_map.offset
             self.color_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
@@ -225,7 +85,7 @@ class GpuField:
     def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, room: int | None) -> GpuSamples:
         """March rays to samples with density and weights; room: most samples, None: as many as there are (waits)."""
         inputs = self.march_inputs(samples_per_ray, min_transmittance)
-        return launch.march_density(inputs, self.density, rays.origins, rays.directions, rays.jitter, room)
+        return launch.march_density(inputs, self.density, rays, room)
 
     def render_rays(
         self,
@@ -264,15 +124,13 @@ class GpuField:
             self.color.backward(r.samples, r.rays.directions, r.colors, of_colors, color_to)
         if density_to is not None:
             if density_within is not None:
-                launch_edit.zero_outside(*density_within, r.samples, of_sigma)
+                launch.zero_outside(*density_within, r.samples, of_sigma)
             self.density.backward(r.samples, of_sigma, density_to)
         if displacement_to is not None:
             moved, s, rays = torch.zeros_like(r.samples.x), r.samples, r.rays
             self.density.add_position_gradients(s, of_sigma, moved)
             self.color.add_position_gradients(s, rays.directions, r.colors, of_colors, moved)
-            launch_deform.displacement_backward(
-                self.space.code, self._space, rays.origins, rays.directions, s, moved, self.vertices, displacement_to
-            )
+            launch.displacement_backward(self.space.code, self._space, rays, s, moved, self.vertices, displacement_to)
 
     def write_to(self, field: RadianceField) -> None:
         """Copy learned values back into `field`, and recompute its occupancy with exact distances."""
@@ -280,3 +138,48 @@ class GpuField:
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()
         field.occupancy.set_occupied(self.distances.cpu().numpy() == 0)
+
+
+# -- occupancy ---------------------------------------------------------------------------------------------------------
+
+
+def refresh(field: GpuField, seed: int, stride: int, decay: float) -> None:
+    """Evaluate the density of a field in every stride-th cell, then decide what is occupied."""
+    device, cells = field.device, field.cells
+    generator = torch.Generator(device).manual_seed(seed)
+    start = int(np.random.default_rng(seed).integers(stride))  # a seed modulo the stride may never vary
+    index = torch.arange(start, cells**3, stride, device=device)
+    corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
+    points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
+    seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
+    old = field.highest[index]
+    field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
+    if field.clear is not None:
+        field.highest.masked_fill_(field.clear, 0.0)
+    decide(field)
+
+
+def decide(field: GpuField) -> None:
+    """Recompute the distances of a field from the densities seen in its cells."""
+    cells = field.cells
+    threshold = -math.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * field.step)
+    occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=threshold)
+    if field.clear is not None:
+        occupied &= ~field.clear
+    field.distances = distances_to(occupied.view(cells, cells, cells)).flatten()
+
+
+def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
+    """Return the Chebyshev distance of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
+
+    Axis by axis, a dozen launches in all: a cell's distance is the minimum, over the cells of its line, of the maximum
+    of the way to that cell and that cell's own distance so far.
+    """
+    farthest = min(farthest, len(occupied))
+    distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)
+    ways = torch.arange(1 - farthest, farthest, device=occupied.device).abs().to(torch.uint8)
+    for axis in range(3):
+        margins = [farthest - 1 if a == axis else 0 for a in (2, 1, 0) for _ in range(2)]
+        lines = F.pad(distance, margins, value=farthest).unfold(axis, len(ways), 1)
+        distance = torch.maximum(lines, ways).amin(-1)
+    return distance

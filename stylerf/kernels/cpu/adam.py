@@ -1,14 +1,84 @@
-"""Adam (Kingma & Ba 2015) over flat tables: sums the threads' buffers in order, updates and clears them in one pass."""
+"""Adam (Kingma & Ba 2015) over flat tables: sums the threads' buffers in order, updates and clears them in one pass.
+
+numba's own loop over the four arrays of an optimizer stays scalar, since any of them might overlap another: a square
+root and two divisions an element then cost more than the memory (performance.md). The intrinsics in LLVM IR load,
+compute and store runs of LANES elements as one vector, with the roundings of the scalar formulas.
+"""
 
 import math
 
 import numpy as np
-from numba import prange
+from llvmlite import ir
+from numba import prange, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
-from stylerf.kernels.cpu.simd_adam import LANES, adam_run, any_gradient, gather_gradient
+from stylerf.kernels.cpu.simd_vm import INDEX, SCALAR, Rows, data_pointer
 
+LANES = 8
 _ONE, _ZERO = np.float32(1), np.float32(0)
+
+
+@intrinsic
+def any_gradient(typing, gradients, at):
+    """Whether one of gradients[at : at + LANES] (flat) is not zero; NaN is not."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, LANES)
+        row = rows.load(data_pointer(context, builder, sig.args[0], args[0]), args[1])
+        found = builder.fcmp_unordered("!=", row, ir.Constant(rows.type, [0.0] * LANES))
+        # One integer of LANES bits.
+        bits = builder.bitcast(found, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(gradients, INDEX), generate
+
+
+@intrinsic
+def gather_gradient(typing, gradients, at, other):
+    """gradients[at : at + LANES] += gradients[other : other + LANES], and the latter is cleared (flat)."""
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, LANES)
+        pointer = data_pointer(context, builder, sig.args[0], args[0])
+        rows.add_to(pointer, args[1], rows.load(pointer, args[2]))
+        rows.store(pointer, args[2], ir.Constant(rows.type, [0.0] * LANES))
+        return context.get_dummy_value()
+
+    return types.void(gradients, INDEX, INDEX), generate
+
+
+@intrinsic
+def adam_run(typing, values, gradients, first, second, i, at, rate, beta1, beta2, epsilon, root):
+    """One step of LANES elements from i on with gradients[at:] (flat), which are cleared.
+
+    m = beta1 m + (1 - beta1) g, v = beta2 v + (1 - beta2) g^2, value -= rate m / (root sqrt(v) + epsilon); rate and
+    root hold the corrections of the moments.
+    """
+
+    def generate(context, builder, sig, args):
+        rows = Rows(builder, LANES)
+        places = [data_pointer(context, builder, sig.args[k], args[k]) for k in range(4)]
+        value_at, gradient_at, first_at, second_at = places
+        i, at = args[4:6]
+        rate, beta1, beta2, epsilon, root = (rows.splat(scalar) for scalar in args[6:])
+        one = ir.Constant(rows.type, [1.0] * LANES)
+        gradient = rows.load(gradient_at, at)
+        rows.store(gradient_at, at, ir.Constant(rows.type, [0.0] * LANES))
+        m = rows.add(rows.mul(beta1, rows.load(first_at, i)), rows.mul(rows.sub(one, beta1), gradient))
+        squared = rows.mul(rows.mul(rows.sub(one, beta2), gradient), gradient)
+        v = rows.add(rows.mul(beta2, rows.load(second_at, i)), squared)
+        rows.store(first_at, i, m)
+        rows.store(second_at, i, v)
+        name = f"llvm.sqrt.v{LANES}f32"
+        sqrt = cgutils.get_or_insert_function(builder.module, ir.FunctionType(rows.type, [rows.type]), name)
+        below = rows.add(rows.mul(root, builder.call(sqrt, [v])), epsilon)
+        step = builder.fdiv(rows.mul(rate, m), below)
+        rows.store(value_at, i, rows.sub(rows.load(value_at, i), step))
+        return context.get_dummy_value()
+
+    return types.void(values, gradients, first, second, INDEX, INDEX, *[SCALAR] * 5), generate
 
 
 @parallel_kernel

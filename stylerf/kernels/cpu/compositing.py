@@ -149,19 +149,6 @@ def visible_weights(samples, weight_threshold, threads, visible):
 
 
 @parallel_kernel
-def count_visible(visible, starts, ends, threads, counts):
-    """counts[r] = samples of ray r with visible > 0."""
-    n = len(ends)
-    for thread in prange(threads):
-        for r in range(thread * n // threads, (thread + 1) * n // threads):
-            found = 0
-            for k in range(starts[r], ends[r]):
-                if visible[k] > _ZERO:
-                    found += 1
-            counts[r] = found
-
-
-@parallel_kernel
 def pack_visible(visible, samples, offsets, threads, packed_x, packed_weights):
     """Pack the visible samples: x as 16-bit cube positions, weights scaled so that each ray keeps its alpha."""
     starts, ends, x, weights = samples.starts, samples.ends, samples.x, samples.weights

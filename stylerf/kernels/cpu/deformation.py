@@ -1,4 +1,4 @@
-"""Gradients of a deformation x' = x + D(x): from densities and colors to positions, from positions to a grid D.
+"""Gradients of a deformation x' = x + D(x) to its grid D, and which cells it moves to occupied ones.
 
 The grid is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as march_density reads it.
 """
@@ -8,61 +8,8 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel, serial_kernel
 from stylerf.kernels.cpu.march import cell, cell_distance, displace, warp_at
-from stylerf.kernels.cpu.simd_vm import axpy_row, vm_features_slopes, vm_slopes
-from stylerf.kernels.cpu.vm import head_of_ray, place
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
-
-
-@parallel_kernel
-def density_position_gradient(table, size, ranks, samples, sigma_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3] of a vm density; the slope is that of the cell a sample lies in."""
-    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
-    n = len(ends)
-    for thread in prange(threads):
-        slopes = np.empty(3, np.float32)
-        for r in range(thread * n // threads, (thread + 1) * n // threads):
-            for k in range(starts[r], ends[r]):
-                g = sigma_gradients[k] * sigma[k]
-                if g != _ZERO:
-                    for m in range(3):
-                        first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
-                        vm_slopes(table, first, second, line, fu, fv, fw, slopes, ranks)
-                        for axis in range(3):
-                            along = (m + 1 + axis) % 3
-                            position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
-
-
-@parallel_kernel
-def color_position_gradient(parameters, ranks, points, basis, colors, color_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3] of vm colors; parameters, basis, colors as in vm.color. Points without a color add nothing."""
-    table, size, head = parameters.table, parameters.size, parameters.head
-    starts, ends, x = points.starts, points.ends, points.x
-    n = len(ends)
-    rank, bands = np.int64(len(ranks)), basis.shape[1]
-    width = 3 * rank
-    for thread in prange(threads):
-        ray_head, gradient = np.empty(3 * width, np.float32), np.empty(width, np.float32)
-        slopes = np.empty(3, np.float32)
-        for r in range(thread * n // threads, (thread + 1) * n // threads):
-            ready = False
-            for k in range(starts[r], ends[r]):
-                if colors[k, 0] < _ZERO:
-                    continue
-                if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
-                    ready = True
-                gradient[:] = _ZERO
-                for j in range(3):
-                    g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
-                    for m in range(3):
-                        axpy_row(g, ray_head, j * width + m * rank, gradient, m * rank, ranks)
-                for m in range(3):
-                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
-                    vm_features_slopes(table, first, second, line, fu, fv, fw, gradient, m * rank, slopes, ranks)
-                    for axis in range(3):
-                        along = (m + 1 + axis) % 3
-                        position_gradients[k, along] += slopes[axis] * np.float32(size[along] - 1)
 
 
 @parallel_kernel

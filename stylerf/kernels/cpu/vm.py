@@ -1,4 +1,4 @@
-"""Vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density and as spherical-harmonic color.
+"""Vector-matrix fields (TensoRF, Chen et al. 2022, eq. 7) as density, as spherical-harmonic color and as features.
 
 A table is one flat float32 array: for m = 0, 1, 2 a plane [size[a], size[b], rank] over axes a = (m+1)%3, b = (m+2)%3,
 then for m = 0, 1, 2 a line [size[m], rank] over axis m. A sample's feature m, r is bilinear(plane m, r) * linear(line
@@ -10,15 +10,20 @@ import math
 import numpy as np
 from numba import prange
 
+from stylerf.kernels.cpu.color_heads import head_of
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 from stylerf.kernels.cpu.march import EXPONENT_MAX, EXPONENT_MIN, cell, end_of_partition, march_partition
 from stylerf.kernels.cpu.simd_vm import (
     add_roughness,
     axpy_row,
     vm_dot_backward,
+    vm_features,
+    vm_features_backward,
+    vm_features_slopes,
     vm_prefetch,
     vm_projected,
     vm_projected_backward,
+    vm_slopes,
     vm_sum,
 )
 
@@ -112,16 +117,24 @@ def density_backward(density, ranks, samples, sigma_gradients, to):
         to[thread, stride - 1] += shift_gradient
 
 
-@inline
-def head_of_ray(head, basis, r, bands, features, out):
-    """out[j, f] = sum_b head[j, b, f] basis[r, b]: the color head evaluated for one ray's direction."""
-    for j in range(3):
-        for f in range(features):
-            out[j * features + f] = _ZERO
-        for b in range(bands):
-            w = basis[r, b]
-            for f in range(features):
-                out[j * features + f] += head[(j * bands + b) * features + f] * w
+@parallel_kernel
+def density_position_gradient(density, ranks, samples, sigma_gradients, threads, position_gradients):
+    """Add dL/dx [n, 3] of a vm density; the slope is that of the cell a sample lies in."""
+    table, size = density.table, density.layout
+    starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
+    n = len(ends)
+    for thread in prange(threads):
+        slopes = np.empty(3, np.float32)
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            for k in range(starts[r], ends[r]):
+                g = sigma_gradients[k] * sigma[k]
+                if g != _ZERO:
+                    for m in range(3):
+                        first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
+                        vm_slopes(table, first, second, line, fu, fv, fw, slopes, ranks)
+                        for axis in range(3):
+                            along = (m + 1 + axis) % 3
+                            position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
 
 
 @parallel_kernel
@@ -133,7 +146,6 @@ def color(parameters, ranks, points, basis, threads, out):
     table, size, head, bias = parameters
     starts, ends, x, weights = points
     n = len(ends)
-    bands = basis.shape[1]
     rank = np.int64(len(ranks))
     width = 3 * rank
     for thread in prange(threads):
@@ -149,7 +161,7 @@ def color(parameters, ranks, points, basis, threads, out):
                 if k + 1 < stop and weights[k + 1] > _ZERO:
                     vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
                 if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    head_of(head, basis, r, width, ray_head)
                     ready = True
                 vm_projected(table, *places(x[k], size, rank), ray_head, z, ranks)
                 for j in range(3):
@@ -187,7 +199,7 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
                     vm_prefetch(table, np.int64(0), *following, ranks)
                     vm_prefetch(flat, base, *following, ranks)
                 if not ready:
-                    head_of_ray(head, basis, r, bands, width, ray_head)
+                    head_of(head, basis, r, width, ray_head)
                     ray_head_gradient[:] = _ZERO
                     ready = True
                 for j in range(3):
@@ -211,6 +223,38 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
 
 
 @parallel_kernel
+def color_position_gradient(parameters, ranks, points, basis, colors, color_gradients, threads, position_gradients):
+    """Add dL/dx [n, 3] of vm colors; parameters, basis, colors as in color. Points without a color add nothing."""
+    table, size, head = parameters.table, parameters.size, parameters.head
+    starts, ends, x = points.starts, points.ends, points.x
+    n = len(ends)
+    rank = np.int64(len(ranks))
+    width = 3 * rank
+    for thread in prange(threads):
+        ray_head, gradient = np.empty(3 * width, np.float32), np.empty(width, np.float32)
+        slopes = np.empty(3, np.float32)
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            ready = False
+            for k in range(starts[r], ends[r]):
+                if colors[k, 0] < _ZERO:
+                    continue
+                if not ready:
+                    head_of(head, basis, r, width, ray_head)
+                    ready = True
+                gradient[:] = _ZERO
+                for j in range(3):
+                    g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
+                    for m in range(3):
+                        axpy_row(g, ray_head, j * width + m * rank, gradient, m * rank, ranks)
+                for m in range(3):
+                    first, second, line, fu, fv, fw = place(m, x[k], size, rank)
+                    vm_features_slopes(table, first, second, line, fu, fv, fw, gradient, m * rank, slopes, ranks)
+                    for axis in range(3):
+                        along = (m + 1 + axis) % 3
+                        position_gradients[k, along] += slopes[axis] * np.float32(size[along] - 1)
+
+
+@parallel_kernel
 def smoothness_backward(table, size, ranks, strength, to):
     """Add strength * d/dt of half the summed squared differences between neighboring plane texels to to[...]."""
     rank = np.int64(len(ranks))
@@ -228,3 +272,53 @@ def smoothness_backward(table, size, ranks, strength, to):
                 right = here + rank if j < columns - 1 else here
                 add_roughness(table, here, above, below, left, right, strength, to, ranks)
         at += rows * across
+
+
+# -- features of chosen samples, for a color head ----------------------------------------------------------------------
+
+
+@parallel_kernel
+def features(table, size, ranks, x, index, threads, out):
+    """out [m, 3 rank] of samples x[index[i]] in 0..1."""
+    n, width = out.shape
+    rank = np.int64(len(ranks))
+    flat = out.reshape(-1)
+    for thread in prange(threads):
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
+                vm_features(table, first, second, line, fu, fv, fw, flat, np.int64(i * width + m * rank), ranks)
+
+
+@parallel_kernel
+def features_backward(table, size, ranks, x, index, gradients, threads, to):
+    """Add dL/d(table) to the thread's buffer to[thread]; gradients [m, 3 rank] = dL/d(out)."""
+    n, width = gradients.shape
+    rank, stride = np.int64(len(ranks)), to.shape[1]
+    buffers, flat = to.reshape(-1), gradients.reshape(-1)
+    for thread in prange(threads):
+        base = np.int64(thread * stride)
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[index[i]], size, rank)
+                here = np.int64(i * width + m * rank)
+                vm_features_backward(table, first, second, line, fu, fv, fw, flat, here, buffers, base, ranks)
+
+
+@parallel_kernel
+def features_position_gradient(table, size, ranks, x, index, gradients, threads, position_gradients):
+    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    n, width = gradients.shape
+    rank = np.int64(len(ranks))
+    flat = gradients.reshape(-1)
+    for thread in prange(threads):
+        slopes = np.empty(3, np.float32)
+        for i in range(thread * n // threads, (thread + 1) * n // threads):
+            k = index[i]
+            for m in range(3):
+                first, second, line, fu, fv, fw = place(m, x[k], size, rank)
+                here = np.int64(i * width + m * rank)
+                vm_features_slopes(table, first, second, line, fu, fv, fw, flat, here, slopes, ranks)
+                for axis in range(3):
+                    along = (m + 1 + axis) % 3
+                    position_gradients[k, along] += slopes[axis] * np.float32(size[along] - 1)

@@ -71,8 +71,9 @@ def march_density(density, widths, rays, space, occupancy, displacement, setting
 
 
 @parallel_kernel
-def density_backward(links, widths, samples, sigma_gradients, to):
+def density_backward(density, widths, samples, sigma_gradients, to):
     """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    links = density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
     threads, stride = to.shape
@@ -92,8 +93,9 @@ def density_backward(links, widths, samples, sigma_gradients, to):
 
 
 @parallel_kernel
-def density_position_gradient(table, links, widths, samples, sigma_gradients, threads, position_gradients):
+def density_position_gradient(density, widths, samples, sigma_gradients, threads, position_gradients):
     """Add dL/dx to position_gradients [n, 3]; the slope is that of the cell a sample lies in."""
+    table, links = density.table, density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
     for thread in prange(threads):
@@ -124,7 +126,7 @@ def features(table, links, widths, x, index, threads, out):
 
 
 @parallel_kernel
-def features_backward(links, widths, x, index, gradients, threads, to):
+def features_backward(table, links, widths, x, index, gradients, threads, to):
     """Add dL/d(table) to the thread's buffer to[thread]; gradients [m, width] = dL/d(out)."""
     n, width = gradients.shape
     stride = to.shape[1]

@@ -8,12 +8,12 @@ reads it.
 import triton
 import triton.language as tl
 
-from stylerf.kernels.gpu.hash_color import vertex_row
-from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
-from stylerf.kernels.gpu.march import displaced
-from stylerf.kernels.gpu.space_warp import cell_number, warp_at
-from stylerf.kernels.gpu.spherical_harmonics import bands_of
-from stylerf.kernels.gpu.vm import SIZES, head_rows, place, tile
+from stylerf.kernels.gpu.color_heads import head_rows
+from stylerf.kernels.gpu.hash_color import lane_gradients, vertex_row
+from stylerf.kernels.gpu.indexing import SIZES, cell, offset, store_vector, trilinear_corner, vector
+from stylerf.kernels.gpu.march import cell_number, displaced, warp_at
+from stylerf.kernels.gpu.shading import bands_of, of_channel, to_learn
+from stylerf.kernels.gpu.vm import place, tile
 
 
 @triton.jit
@@ -66,15 +66,6 @@ def density_position_kernel(
         store_vector(out, k, ax, ay, az, valid)
 
 
-@triton.jit
-def logit_gradients(colors, color_gradients, k, inside):
-    """(valid, g0, g1, g2): samples that have a color, and dL/d(logit) of its channels."""
-    valid = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
-    c0, c1, c2 = vector(colors, k, valid)
-    g0, g1, g2 = vector(color_gradients, k, valid)
-    return valid, g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
-
-
 @triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["head"])
 def vm_color_position_kernel(
     table, head, points, directions, ray_of, colors, color_gradients, total, out, s0, s1, s2,
@@ -83,20 +74,18 @@ def vm_color_position_kernel(
     """Add dL/dx of vm colors to out [n, 3]; samples with colors[k, 0] < 0 add nothing."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, OUTPUTS)
-    channel = output // BANDS
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        valid, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
+        valid, g0, g1, g2 = to_learn(k, k < count, colors, color_gradients)
         x, y, z = vector(points, k, valid)
         ax, ay, az = vector(out, k, valid)
         dx, dy, dz = vector(directions, tl.load(ray_of + k, mask=valid, other=0), valid)
-        own = tl.where(channel == 0, g0[:, None], tl.where(channel == 1, g1[:, None], g2[:, None]))
-        own = tl.where(output[None, :] < 3 * BANDS, own, 0.0) * bands_of(dx, dy, dz, output, BANDS)
+        own = of_channel(output, g0, g1, g2, BANDS) * bands_of(dx, dy, dz, output, BANDS)
         mask = valid[:, None] & (columns[None, :] < RANK)
         for m in tl.static_range(3):
             first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
             u, v, w = slopes(table, first, second, line, fu, fv, fw, columns, RANK, mask)
-            rows = head_rows(head, m, columns, RANK, BANDS, OUTPUTS)
+            rows = head_rows(head, m, columns, output, RANK, 3 * RANK, 3 * BANDS)
             g = tl.dot(own, rows, input_precision="ieee")
             u, v, w = tl.sum(g * u, axis=1), tl.sum(g * v, axis=1), tl.sum(g * w, axis=1)
             bx, by, bz = turned(m, u, v, w, s0, s1, s2)
@@ -135,9 +124,8 @@ def hash_color_position_kernel(
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        valid, g0, g1, g2 = logit_gradients(colors, color_gradients, k, k < count)
-        three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
-        g = tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
+        valid, g0, g1, g2 = to_learn(k, k < count, colors, color_gradients)
+        g = lane_gradients(lane, g0, g1, g2)
         x, y, z = vector(points, k, valid)
         ax, ay, az = vector(out, k, valid)
         for level in tl.static_range(LEVELS):

@@ -1,16 +1,16 @@
-"""kernels/cpu/hash_color.py, a lane to a sample and four lanes to a vertex's floats, forward and
+"""The hash color of kernels/cpu/hash_grid.py, a lane to a sample and four lanes to a vertex's floats, forward and
 backward.
 
-layout: int32 [6, LEVELS] as fields/hash_color.py's level_layout makes it: cells a side, multipliers of x and y, mask,
-first float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
+layout: int32 [6, LEVELS] of Levels.layout() in fields/hash_grid.py: cells a side, multipliers of x and y, mask, first
+float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
 """
 
 import triton
 import triton.language as tl
 
 from stylerf.kernels.gpu.hash_levels import vertex_number
-from stylerf.kernels.gpu.indexing import cell, offset, trilinear_corner, vector
-from stylerf.kernels.gpu.vm import _sigmoid
+from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
+from stylerf.kernels.gpu.shading import sigmoid, to_color, to_learn
 
 
 @triton.jit
@@ -60,47 +60,30 @@ def logit(values, lane, j: tl.constexpr):
 
 
 @triton.jit
-def lane_gradients(colors, color_gradients, k, lane, valid):
-    """dL/df [samples, 4] from dL/d(color): the fourth float is part of every channel's logit."""
-    c0, c1, c2 = vector(colors, k, valid)
-    g0, g1, g2 = vector(color_gradients, k, valid)
-    g0, g1, g2 = g0 * c0 * (1.0 - c0), g1 * c1 * (1.0 - c1), g2 * c2 * (1.0 - c2)
+def lane_gradients(lane, g0, g1, g2):
+    """dL/df [samples, 4] from dL/d(logits): the fourth float is part of every channel's logit."""
     three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
     return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
 
 
 @triton.jit
 def color_kernel(
-    table,
-    layout,
-    points,
-    ray_of,
-    weights,
-    largest,
-    weight_threshold,
-    total,
-    out,
-    LEVELS: tl.constexpr,
-    BLOCK: tl.constexpr,
-):
+    table, layout, points, ray_of, weights, largest, weight_threshold, total, out,
+    LEVELS: tl.constexpr, BLOCK: tl.constexpr,
+):  # fmt: skip
     """out [n, 3]: sigmoid(f[0:3] + f[3]); -1 for samples below weight_threshold times their ray's largest weight."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        inside = k < count
-        ray = tl.load(ray_of + k, mask=inside, other=0)
-        w = tl.load(weights + k, mask=inside, other=0.0)
-        valid = inside & (w > 0.0) & (w >= weight_threshold * tl.load(largest + ray, mask=inside, other=0.0))
+        inside, valid, _ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
         if tl.max(valid.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, valid)
             f = x[:, None] * 0.0 + lane[None, :] * 0.0
             for level in tl.static_range(LEVELS):
                 f += level_sum(table, layout, level, LEVELS, x, y, z, valid)
-            at = offset(k, 3, 0)
-            tl.store(out + at, _sigmoid(logit(f, lane, 0)), mask=valid)
-            tl.store(out + at + 1, _sigmoid(logit(f, lane, 1)), mask=valid)
-            tl.store(out + at + 2, _sigmoid(logit(f, lane, 2)), mask=valid)
+            red, green, blue = sigmoid(logit(f, lane, 0)), sigmoid(logit(f, lane, 1)), sigmoid(logit(f, lane, 2))
+            store_vector(out, k, red, green, blue, valid)
         tl.store(out + offset(k, 3, 0), -1.0, mask=inside & (valid == 0))
 
 
@@ -113,8 +96,8 @@ def color_backward_kernel(
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
-        valid = tl.load(colors + offset(k, 3, 0), mask=k < count, other=-1.0) >= 0.0
-        g = lane_gradients(colors, color_gradients, k, lane, valid)
+        valid, g0, g1, g2 = to_learn(k, k < count, colors, color_gradients)
+        g = lane_gradients(lane, g0, g1, g2)
         x, y, z = vector(points, k, valid)
         for level in tl.static_range(LEVELS):
             level_scatter(to, layout, level, LEVELS, x, y, z, g, valid)
@@ -122,7 +105,7 @@ def color_backward_kernel(
 
 @triton.jit(do_not_specialize=["count"])
 def rows_kernel(table, layout, points, out, count, LEVELS: tl.constexpr, BLOCK: tl.constexpr):
-    """out [count, 4 LEVELS]: the levels' interpolated values, concatenated (kernels/cpu/hash_encoding.py)."""
+    """out [count, 4 LEVELS]: the levels' interpolated values, concatenated (kernels/cpu/hash_grid.py)."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = k < count
     lane = tl.arange(0, 4)

@@ -2,7 +2,7 @@
 
 A column is one float of one level: level column // ROW, float column % ROW, of ROW floats at a vertex. A tile has
 WIDTH columns, a power of two; those from ROW LEVELS on are masked out. layout: int32 [6, LEVELS], see hash_color.py.
-Every vertex of a level that waits (fields/hash_levels.py; hashed, with a mask of 0) is its one row.
+Every vertex of an inactive level (fields/hash_grid.py; hashed, with a mask of 0) is its one row.
 """
 
 import triton
@@ -68,3 +68,32 @@ def level_tile_scatter(to, layout, x, y, z, gradient, columns, LEVELS: tl.conste
     # Every sample speaks to a waiting level's row: summed in the program first, or all atomics would meet there.
     alone = tl.sum(tl.where(mask & waits, gradient, 0.0), axis=0)[None, :]
     tl.atomic_add(to + first, alone, mask=waits & (columns[None, :] < ROW * LEVELS), sem="relaxed")
+
+
+@triton.jit(do_not_specialize=["vertices", "first"])
+def smoothness_kernel(table, to, strength, vertices, first, ROW: tl.constexpr, BLOCK: tl.constexpr):
+    """Add strength * d/dt of half the summed squared differences of neighboring vertices of one direct level to `to`.
+
+    vertices: a side; first: the level's first float; a lane to a float.
+    """
+    n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
+    vertex = n // ROW
+    along_y, along_z = vertices, 1
+    along_x = vertices.to(tl.int64) * vertices
+    valid = vertex < along_x * vertices
+    i, j, k = vertex // along_x, (vertex // along_y) % vertices, vertex % vertices
+    here = tl.load(table + first + n, mask=valid, other=0.0)
+    total = here * 0.0
+    for axis in tl.static_range(3):
+        if axis == 0:
+            place, apart = i, along_x
+        elif axis == 1:
+            place, apart = j, along_y
+        else:
+            place, apart = k, along_z
+        below, above = valid & (place > 0), valid & (place < vertices - 1)
+        lower = tl.load(table + first + n - apart * ROW, mask=below, other=0.0)
+        upper = tl.load(table + first + n + apart * ROW, mask=above, other=0.0)
+        total += tl.where(below, here - lower, 0.0) + tl.where(above, here - upper, 0.0)
+    at = to + first + n
+    tl.store(at, tl.load(at, mask=valid, other=0.0) + strength * total, mask=valid)

@@ -1,60 +1,29 @@
-"""Kernel launches: grids, blocks, constants. Nothing here waits for the device, unless it says so."""
+"""Kernel launches: grids, blocks, and what is not launched by a part of a field itself (fields/gpu/parts.py).
 
-from dataclasses import dataclass
+Nothing here waits for the device, unless it says so.
+"""
+
+from typing import Any
 
 import torch
 import triton
 from torch import Tensor
 
 from stylerf.kernels.gpu import adam as optimizer
-from stylerf.kernels.gpu import compositing as composite_kernels
-from stylerf.kernels.gpu import hash_color as hash_kernels
-from stylerf.kernels.gpu import interpreted, march, pixel_rays, vm
+from stylerf.kernels.gpu import compositing, deformation, hash_color, interpreted, march, pixel_rays, regions
+from stylerf.kernels.gpu.ray_samples import GpuMarchInputs, GpuRays, GpuSamples
 
 # Rays or samples per program. Marches diverge, so that few rays share a program; the interpreter pays per program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
+CELLS = 1024 if interpreted() else 32  # per program, each of 32 lanes
 # No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
 STAGES = 1
-PROGRAMS_PER_PROCESSOR = 8  # of kernels that inputs a list whose length only the device knows
-
-
-@dataclass
-class GpuSamples:
-    """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
-
-    Attributes:
-        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
-        largest: [rays], each ray's largest weight.
-        total: [1] int64, number of samples.
-        ray_of: [room], each sample's ray.
-    """
-
-    starts: Tensor
-    ends: Tensor
-    counts: Tensor
-    largest: Tensor
-    total: Tensor
-    t: Tensor
-    deltas: Tensor
-    x: Tensor
-    sigma: Tensor
-    weights: Tensor
-    ray_of: Tensor
-
-    @property
-    def room(self) -> int:
-        """Number of samples that fit."""
-        return len(self.t)
+PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
 
 
 def width_of(rank: int) -> int:
     """Return the columns of a tile of rows; tl.dot needs at least sixteen."""
     return max(16, triton.next_power_of_2(rank))
-
-
-def outputs_of(bands: int) -> int:
-    """Return the columns of a tile of the color head's outputs."""
-    return max(16, triton.next_power_of_2(3 * bands))
 
 
 def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
@@ -65,160 +34,110 @@ def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
     return (max(1, min(processors * PROGRAMS_PER_PROCESSOR, triton.cdiv(most, block))),)
 
 
-@dataclass(frozen=True)
-class GpuMarchInputs:
-    """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
-
-    code: int
-    space: Tensor
-    near: float
-    far: float
-    step: float
-    distances: Tensor  # [cells^3] uint8
-    cells: int
-    opaque_background: bool
-    displacement: Tensor | None  # flat [m^3 * 3]
-    vertices: int
-    samples_per_ray: int
-    min_transmittance: float
+def over_samples(kernel: Any, samples: GpuSamples, *arguments: object, **constants: object) -> None:
+    """Launch a kernel that walks the packed samples, whose number only the device knows."""
+    grid = persistent_grid(samples.x.device, samples.room, SAMPLES)
+    kernel[grid](*arguments, BLOCK=SAMPLES, num_stages=STAGES, **constants)
 
 
-def march_density(
-    inputs: GpuMarchInputs, density, origins: Tensor, directions: Tensor, jitter: Tensor, room: int | None
-) -> GpuSamples:
-    """March rays through a density.
+def over(kernel: Any, count: int, block: int, *arguments: object, **constants: object) -> None:
+    """Launch a kernel on `count` items, if there are any, `block` to a program."""
+    if count:
+        kernel[(triton.cdiv(count, block),)](*arguments, BLOCK=block, **constants)
 
-    Args:
-        density: has table, shift, layout, size, code, rank and width; see density.raw_density.
-        room: most samples there is memory for. With None the number is read back, which waits for the device.
+
+# -- marching ---------------------------------------------------------------------------------------------------------
+
+
+def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, room: int | None) -> GpuSamples:
+    """March rays through a GpuDensity.
+
+    room: most samples there is memory for. With None the number is read back, which waits for the device.
     """
-    n, device = len(origins), origins.device
-    counts, int64 = torch.empty(n, dtype=torch.int32, device=device), {"dtype": torch.int64, "device": device}
-    starts, ends = torch.empty(n, **int64), torch.empty(n, **int64)
-    largest, total = torch.empty(n, device=device), torch.zeros(1, **int64)
+    n, device = len(rays.origins), rays.origins.device
+    counts = torch.empty(n, dtype=torch.int32, device=device)
+    starts, ends = (torch.empty(n, dtype=torch.int64, device=device) for _ in range(2))
+    largest, total = torch.empty(n, device=device), torch.zeros(1, dtype=torch.int64, device=device)
     # The counting pass needs no outputs, but Triton needs arguments: any tensors of the right type.
-    nothing = GpuSamples(starts, ends, counts, largest, total, *[largest] * 5, counts)
-    _march_rays(inputs, density, origins, directions, jitter, nothing, starts, 0, False)
+    nothing = GpuSamples(
+        starts, ends, counts, largest, total, t=largest, deltas=largest, x=largest, sigma=largest, weights=largest,
+        ray_of=counts,
+    )  # fmt: skip
+    _march_rays(inputs, density, rays, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
     if room is None:
         room = int(last[-1]) if n else 0
-    one = [torch.empty(room, device=device) for _ in range(4)]
-    points = torch.empty((room, 3), device=device)
-    ray_of = torch.empty(room, dtype=torch.int32, device=device)
-    samples = GpuSamples(starts, ends, counts, largest, total, one[0], one[1], points, one[2], one[3], ray_of)
-    _march_rays(inputs, density, origins, directions, jitter, samples, last, room, True)
+    t, deltas, sigma, weights = (torch.empty(room, device=device) for _ in range(4))
+    points, ray_of = torch.empty((room, 3), device=device), torch.empty(room, dtype=torch.int32, device=device)
+    samples = GpuSamples(starts, ends, counts, largest, total, t, deltas, points, sigma, weights, ray_of)
+    _march_rays(inputs, density, rays, samples, last, room, True)
     return samples
 
 
-def _march_rays(inputs, density, origins, directions, jitter, samples: GpuSamples, last, room, fill: bool) -> None:
-    n = len(origins)
-    if not n:
-        return
-    s, moved = samples, origins if inputs.displacement is None else inputs.displacement
-    layout = s.counts if density.layout is None else density.layout
-    march.march_kernel[(triton.cdiv(n, RAYS),)](
-        inputs.space, origins, directions, jitter, float(inputs.near), float(inputs.far), float(inputs.step),
-        inputs.distances, inputs.cells, inputs.samples_per_ray, float(inputs.min_transmittance),
-        density.table, density.shift, *density.size, layout, moved, inputs.vertices,
+def _march_rays(
+    inputs: GpuMarchInputs, density, rays: GpuRays, samples: GpuSamples, last: Tensor, room: int, fill: bool
+) -> None:
+    n, s = len(rays.origins), samples
+    moved = rays.origins if inputs.displacement is None else inputs.displacement
+    over(
+        march.march_kernel, n, RAYS, inputs.space, rays.origins, rays.directions, rays.jitter,
+        float(inputs.near), float(inputs.far), float(inputs.step), inputs.distances, inputs.cells,
+        inputs.samples_per_ray, float(inputs.min_transmittance),
+        density.table, density.shift, *density.size, density.layout, moved, inputs.vertices,
         s.counts, last, room, s.starts, s.ends, s.largest, s.total,
         s.t, s.deltas, s.x, s.sigma, s.weights, s.ray_of, n,
         KIND=inputs.code, OPAQUE_BACKGROUND=inputs.opaque_background, DISPLACED=inputs.displacement is not None,
-        FILL=fill, DENSITY=density.code, RANK=density.rank, WIDTH=density.width, BLOCK=RAYS, num_warps=1,
+        FILL=fill, DENSITY=density.code, RANK=density.rank, WIDTH=density.width, num_warps=1,
     )  # fmt: skip
 
 
-def vm_density(density, points: Tensor) -> Tensor:
-    """Return raw density [n] at points [n, 3] in the unit cube."""
-    out = torch.empty(len(points), device=points.device)
-    if len(points):
-        vm.density_kernel[(triton.cdiv(len(points), POINTS),)](
-            density.table, density.shift, points, out, len(points), *density.size,
-            RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=POINTS,
-        )  # fmt: skip
+# -- hash grids and regions --------------------------------------------------------------------------------------------
+
+
+def rows(table: Tensor, layout: Tensor, levels: int, points: Tensor) -> Tensor:
+    """[n, 4 levels]: a hash grid's levels side by side at points [n, 3] in 0..1."""
+    n = len(points)
+    out, constants = torch.empty((n, 4 * levels), device=points.device), {"LEVELS": levels, "num_stages": STAGES}
+    over(hash_color.rows_kernel, n, SAMPLES, table, layout, points, out, n, **constants)
     return out
 
 
-def vm_density_backward(density, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
-    """Add dL/d(values) to `to` [len(values)]: table, shift."""
-    vm.density_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        density.table, samples.x, samples.sigma, sigma_gradients, samples.total, to, to[-1:], *density.size,
-        RANK=density.rank, WIDTH=width_of(density.rank), BLOCK=SAMPLES, num_stages=STAGES,
-    )  # fmt: skip
+def rows_backward(layout: Tensor, levels: int, points: Tensor, gradients: Tensor, to: Tensor) -> None:
+    """Add dL/d(table), from dL/d(rows) [n, 4 levels], to `to`."""
+    n, constants = len(points), {"LEVELS": levels, "num_stages": STAGES}
+    over(hash_color.rows_backward_kernel, n, SAMPLES, layout, points, gradients, to, n, **constants)
 
 
-def vm_colors(color, samples: GpuSamples, directions: Tensor, weight_threshold: float) -> Tensor:
-    """Return [room, 3] colors; -1 in channel 0 below weight_threshold times the ray's largest weight."""
-    out = torch.empty((samples.room, 3), device=directions.device)
-    vm.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        color.table, color.head, color.bias, samples.x, directions, samples.ray_of, samples.weights,
-        samples.largest, float(weight_threshold), samples.total, out, *color.size,
-        RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
-        BLOCK=SAMPLES, num_stages=STAGES,
-    )  # fmt: skip
+def zero_outside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor) -> None:
+    """Set values [room] to 0 for samples outside the marked cells (uint8 [cells^3])."""
+    over_samples(regions.keep_kernel, samples, marked, cells, samples.x, samples.total, values)
+
+
+def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
+    """Return [rays, 6]: sum w, then sums over marked cells of w, w t and w x."""
+    n, s = len(samples.starts), samples
+    out = torch.empty((n, 6), device=s.x.device)
+    over(regions.ends_kernel, n, POINTS, marked, cells, s.x, s.t, s.weights, s.starts, s.ends, out, n)
     return out
 
 
-def vm_colors_backward(color, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-    """Add dL/d(values) to `to` [len(values)]: table, head, bias."""
-    table = len(color.table)
-    vm.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        color.table, color.head, samples.x, directions, samples.ray_of, colors, color_gradients, samples.total,
-        to, to[table:-3], to[-3:], *color.size,
-        RANK=color.rank, WIDTH=width_of(color.rank), BANDS=color.bands, OUTPUTS=outputs_of(color.bands),
-        BLOCK=SAMPLES, num_stages=STAGES,
-    )  # fmt: skip
-
-
-def hash_colors(color, samples: GpuSamples, weight_threshold: float) -> Tensor:
-    """See vm_colors; for a hash grid."""
-    out = torch.empty((samples.room, 3), device=samples.x.device)
-    hash_kernels.color_kernel[persistent_grid(out.device, samples.room, SAMPLES)](
-        color.table, color.layout, samples.x, samples.ray_of, samples.weights, samples.largest, float(weight_threshold),
-        samples.total, out, LEVELS=color.levels, BLOCK=SAMPLES, num_stages=STAGES,
-    )  # fmt: skip
-    return out
-
-
-def hash_colors_backward(color, samples: GpuSamples, colors, color_gradients, to: Tensor) -> None:
-    """Add dL/d(values) to `to`."""
-    hash_kernels.color_backward_kernel[persistent_grid(to.device, samples.room, SAMPLES)](
-        color.layout, samples.x, colors, color_gradients, samples.total, to, LEVELS=color.levels, BLOCK=SAMPLES,
-        num_stages=STAGES,
-    )  # fmt: skip
-
-
-def smoothness(part, strength: float, to: Tensor) -> None:
-    """Add the gradient of strength/2 times the summed squared differences of plane texels to `to`."""
-    size, begin = part.size, 0
-    for a, b in ((1, 2), (2, 0), (0, 1)):
-        rows, columns = size[a], size[b]
-        vm.smoothness_kernel[(triton.cdiv(rows * columns, SAMPLES),)](
-            part.values, to, float(strength), rows, columns, begin,
-            RANK=part.rank, WIDTH=width_of(part.rank), BLOCK=SAMPLES,
-        )  # fmt: skip
-        begin += rows * columns
+# -- pixels, losses, optimization -------------------------------------------------------------------------------------
 
 
 def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
     """Return [rays, 5]: sum w c (3), sum w, sum w t without the opaque background."""
-    n = len(samples.starts)
+    n, s = len(samples.starts), samples
     out = torch.empty((n, 5), device=colors.device)
-    if n:
-        composite_kernels.composite_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS,
-            num_warps=1,
-        )  # fmt: skip
+    given = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, n
+    over(compositing.composite_kernel, n, RAYS, *given, num_warps=1)
     return out
 
 
 def surface_distance(samples: GpuSamples) -> Tensor:
     """Return [rays]: distance of the visible surface, scene units, 0 where there is none."""
-    n = len(samples.starts)
-    out = torch.empty(n, device=samples.t.device)
-    if n:
-        composite_kernels.surface_distance_kernel[(triton.cdiv(n, RAYS),)](
-            samples.weights, samples.t, samples.starts, samples.ends, out, n, BLOCK=RAYS, num_warps=1
-        )
+    n, s = len(samples.starts), samples
+    out = torch.empty(n, device=s.t.device)
+    over(compositing.surface_distance_kernel, n, RAYS, s.weights, s.t, s.starts, s.ends, out, n, num_warps=1)
     return out
 
 
@@ -226,30 +145,47 @@ def composite_backward(
     samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, near_scaling_distance: float
 ) -> tuple[Tensor, Tensor]:
     """Return dL/d(sigma) [room], dL/d(color) [room, 3] from dL/d(out) [rays, 5]; undefined beyond the last sample."""
-    sigma_gradients, color_gradients = torch.empty_like(samples.sigma), torch.empty_like(colors)
-    if len(out):
-        composite_kernels.composite_backward_kernel[(triton.cdiv(len(out), RAYS),)](
-            samples.weights, samples.deltas, colors, samples.t, samples.starts, samples.ends, out, gradients,
-            float(near_scaling_distance), sigma_gradients, color_gradients, len(out), BLOCK=RAYS, num_warps=1,
-        )  # fmt: skip
+    n, s = len(out), samples
+    sigma_gradients, color_gradients = torch.empty_like(s.sigma), torch.empty_like(colors)
+    given = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, gradients, float(near_scaling_distance)
+    over(
+        compositing.composite_backward_kernel, n, RAYS, *given, sigma_gradients, color_gradients, n, num_warps=1
+    )  # fmt: skip
     return sigma_gradients, color_gradients
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:
     """Return dL/d(out) of the squared error; add (squared error, samples, rays without room) to sums [3]."""
-    gradients = torch.empty_like(out)
-    composite_kernels.loss_kernel[(triton.cdiv(len(out), POINTS),)](
-        out, wanted, background, samples.counts, samples.starts, samples.ends, float(scale), gradients, sums, len(out),
-        BLOCK=POINTS,
+    gradients, n, s = torch.empty_like(out), len(out), samples
+    given = out, wanted, background, s.counts, s.starts, s.ends, float(scale)
+    over(compositing.loss_kernel, n, POINTS, *given, gradients, sums, n)
+    return gradients
+
+
+def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
+    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their room."""
+    out, n = torch.empty_like(samples.x), len(samples.weights)
+    over(compositing.shade_backward_kernel, n, POINTS, samples.weights, gradients, samples.ray_of, out, n)
+    return out
+
+
+def tuning_loss(
+    out: Tensor, wanted: Tensor, depth: Tensor, samples: GpuSamples, level: float, scale: float, depth_scale: float,
+    sums: Tensor,
+) -> Tensor:  # fmt: skip
+    """Return dL/d(out) [rays, 5] and add to sums [5]; see tuning_loss_kernel. depth [m]: of the first m rays."""
+    gradients, n, s = torch.empty_like(out), len(out), samples
+    over(
+        compositing.tuning_loss_kernel, n, POINTS, out, wanted, depth if len(depth) else out, s.counts, s.starts,
+        s.ends, float(level), float(scale), float(depth_scale), len(depth), gradients, sums, n,
     )  # fmt: skip
     return gradients
 
 
 def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
     """Take one step of Adam on values[begin:end]."""
-    optimizer.adam_kernel[(triton.cdiv(triton.cdiv(end - begin, 8), RUNS),)](
-        values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end, BLOCK=RUNS
-    )
+    given = values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end
+    over(optimizer.adam_kernel, triton.cdiv(end - begin, 8), RUNS, *given)
 
 
 def draw_rays(
@@ -257,20 +193,47 @@ def draw_rays(
 ) -> None:
     """Draw random rays of a RayDatasetGpu; see pixel_rays.draw_kernel. level None: random background."""
     n = len(origins)
-    pixel_rays.draw_kernel[(triton.cdiv(n, POINTS),)](
-        seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
-        bank.intrinsics, bank.poses, bank.bytes, bank.codes, float(level or 0), origins, directions, wanted, jitter,
-        background,
+    over(
+        pixel_rays.draw_kernel, n, POINTS, seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends,
+        bank.view_sizes, bank.views, bank.widths, bank.intrinsics, bank.poses, bank.bytes, bank.codes,
+        float(level or 0), origins, directions, wanted, jitter, background,
         CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
-        BLOCK=POINTS,
     )  # fmt: skip
 
 
-def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
-    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their room."""
-    out, n = torch.empty_like(samples.x), len(samples.weights)
-    if n:
-        composite_kernels.shade_backward_kernel[(triton.cdiv(n, POINTS),)](
-            samples.weights, gradients, samples.ray_of, out, n, BLOCK=POINTS
-        )
-    return out
+def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return (origins, directions [n, 3], straight rgba [n, 4]) of pixels [n] int64, numbered across all views."""
+    n = len(chosen)
+    origins, directions = (torch.empty((n, 3), device=chosen.device) for _ in range(2))
+    wanted = torch.empty((n, 4), device=chosen.device)
+    over(
+        pixel_rays.rays_kernel, n, POINTS, chosen, n, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
+        bank.intrinsics, bank.poses, bank.bytes, bank.codes, origins, directions, wanted,
+        CHANNELS=bank.channels, STEPS=max(1, (bank.views - 1).bit_length()),
+    )  # fmt: skip
+    return origins, directions, wanted
+
+
+# -- deformations -----------------------------------------------------------------------------------------------------
+
+
+def displacement_backward(
+    code: int, space: Tensor, rays: GpuRays, samples: GpuSamples, position_gradients: Tensor, vertices: int, to: Tensor
+) -> None:
+    """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as in GpuMarchInputs."""
+    s = samples
+    over_samples(
+        deformation.displacement_backward_kernel, s, space, rays.origins, rays.directions, s.ray_of, s.t, s.deltas,
+        s.x, position_gradients, s.total, to, vertices, KIND=code,
+    )  # fmt: skip
+
+
+def displaced_cells(distances: Tensor, cells: int, reach: int, displacement: Tensor, vertices: int) -> Tensor:
+    """[cells, cells, cells] bool: cells of x with x + D(x) in a cell of distance 0; displacement flat [vertices^3 * 3].
+
+    reach: cells that D moves anything by at most, and one more.
+    """
+    occupied = torch.empty(cells**3, dtype=torch.uint8, device=distances.device)
+    given = distances, cells, reach, displacement, vertices, occupied
+    over(deformation.displaced_cells_kernel, cells**3, CELLS, *given)
+    return occupied.view(cells, cells, cells) > 0

@@ -9,13 +9,111 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
-from stylerf.kernels.gpu.density import raw_density
-from stylerf.kernels.gpu.indexing import cell, offset, store_vector, trilinear_corner, vector
-from stylerf.kernels.gpu.space_warp import cell_number, empty_steps, ray_span, warp_at
-from stylerf.kernels.gpu.vm import SIZES
+from stylerf.kernels.gpu.indexing import SIZES, cell, offset, store_vector, trilinear_corner, vector
+from stylerf.kernels.gpu.tables import raw_density
 
 SCALE = tl.constexpr(float(OPTICAL_SCALE))
+TINY = tl.constexpr(1e-9)
 MOST_TURNS = tl.constexpr(1 << 16)  # a step too small for float32 to move the ray must not hang the GPU
+
+
+@triton.jit
+def clamped(x):
+    return tl.minimum(tl.maximum(x, 0.0), 1.0)
+
+
+@triton.jit
+def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
+    """(x, y, z in the cube, speed along (dx, dy, dz), density jacobian); see the CPU's warp_at.
+
+    KIND: 0 box, 1 contraction, 2 frustum. space: its seven parameters.
+    """
+    s0, s1, s2 = tl.load(space), tl.load(space + 1), tl.load(space + 2)
+    if KIND == 2:
+        i = 1.0 / tl.maximum(pz, s2 * 0.5)
+        x = 0.5 + 0.5 * px * i / s0
+        y = 0.5 + 0.5 * py * i / s1
+        z = 1.0 - s2 * i
+        jacobian = s2 * i * i
+        along_x = tl.abs(0.5 * (dx - px * i * dz) * i / s0)
+        along_y = tl.abs(0.5 * (dy - py * i * dz) * i / s1)
+        speed = tl.maximum(tl.maximum(along_x, along_y), tl.abs(jacobian * dz))
+    else:
+        s3, s4, s5, s6 = tl.load(space + 3), tl.load(space + 4), tl.load(space + 5), tl.load(space + 6)
+        x, y, z = (px - s0) * s3, (py - s1) * s4, (pz - s2) * s5
+        vx, vy, vz = dx * s3, dy * s4, dz * s5
+        if KIND == 0:
+            jacobian = s6 + 0.0 * px
+            speed = tl.maximum(tl.maximum(tl.abs(vx), tl.abs(vy)), tl.abs(vz))
+        else:
+            # x' = x (2 - 1/m)/m with m the largest coordinate; dm/dt is that coordinate's own velocity.
+            m = tl.maximum(tl.maximum(tl.abs(x), tl.abs(y)), tl.abs(z))
+            outside = m > 1.0
+            i = 1.0 / tl.maximum(m, 1.0)
+            s = tl.where(outside, (2.0 - i) * i, 1.0)
+            of_y = tl.where(tl.abs(y) == m, tl.where(y > 0, vy, -vy), tl.where(z > 0, vz, -vz))
+            dm = tl.where(tl.abs(x) == m, tl.where(x > 0, vx, -vx), of_y)
+            ds = tl.where(outside, 2.0 * (i - 1.0) * i * i * dm, 0.0)
+            vx, vy, vz = vx * s + x * ds, vy * s + y * ds, vz * s + z * ds
+            x, y, z = 0.5 + 0.25 * x * s, 0.5 + 0.25 * y * s, 0.5 + 0.25 * z * s
+            jacobian = 0.25 * s6 * tl.where(outside, i * i, 1.0)
+            speed = 0.25 * tl.maximum(tl.maximum(tl.abs(vx), tl.abs(vy)), tl.abs(vz))
+    return clamped(x), clamped(y), clamped(z), tl.maximum(speed, TINY), jacobian
+
+
+@triton.jit
+def _clip_axis(o, d, low, scale, t0, t1):
+    p, v = (o - low) * scale, d * scale
+    parallel = tl.abs(v) < TINY
+    i = 1.0 / tl.where(parallel, 1.0, v)
+    u, w = -p * i, (1.0 - p) * i
+    missed = parallel & ((p < 0.0) | (p > 1.0))
+    begin = tl.where(parallel, t0, tl.maximum(t0, tl.minimum(u, w)))
+    end = tl.where(parallel, t1, tl.minimum(t1, tl.maximum(u, w)))
+    return begin, tl.where(missed, -1.0, end)
+
+
+@triton.jit
+def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
+    """Distances between which a ray is marched; empty if the first is not less than the second."""
+    t0, t1 = near, far + 0.0 * near
+    if KIND == 0:
+        t0, t1 = _clip_axis(ox, dx, tl.load(space), tl.load(space + 3), t0, t1)
+        t0, t1 = _clip_axis(oy, dy, tl.load(space + 1), tl.load(space + 4), t0, t1)
+        t0, t1 = _clip_axis(oz, dz, tl.load(space + 2), tl.load(space + 5), t0, t1)
+    return t0, t1
+
+
+@triton.jit
+def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
+    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's empty_steps.
+
+    Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
+    """
+    far = mask & (distance > 1)
+    reach = (distance.to(tl.float32) - 1.0) / cells
+    steps = tl.where(far, tl.maximum((reach / step).to(tl.int32), 1), 1)
+    if KIND == 1:
+        reach = reach * 0.95
+        # Halved until what is moved in the cube is within reach; thirty-one halvings bring every int32 to one.
+        pending = (steps > 1).to(tl.int32)
+        while tl.max(pending, axis=0) > 0:
+            s = t + dt * steps.to(tl.float32)
+            ax, ay, az, _speed, _jacobian = warp_at(KIND, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz)
+            moved = tl.maximum(tl.maximum(tl.abs(ax - qx), tl.abs(ay - qy)), tl.abs(az - qz))
+            too_far = (pending > 0) & (moved > reach)
+            steps = tl.where(too_far, steps // 2, steps)
+            pending = (too_far & (steps > 1)).to(tl.int32)
+    return steps
+
+
+@triton.jit
+def cell_number(x, y, z, cells):
+    """Row-major index of the occupancy cell of a point of the cube."""
+    i = tl.minimum((x * cells).to(tl.int32), cells - 1)
+    j = tl.minimum((y * cells).to(tl.int32), cells - 1)
+    k = tl.minimum((z * cells).to(tl.int32), cells - 1)
+    return (i.to(tl.int64) * cells + j) * cells + k
 
 
 @triton.jit
@@ -30,10 +128,7 @@ def displaced(grid, cells, x, y, z, mask):
         there = at + ((corner // 4) * cells + (corner // 2) % 2) * cells + corner % 2
         a, b, c = vector(grid, there, mask)
         x, y, z = x + w * a, y + w * b, z + w * c
-    x = tl.minimum(tl.maximum(x, 0.0), 1.0)
-    y = tl.minimum(tl.maximum(y, 0.0), 1.0)
-    z = tl.minimum(tl.maximum(z, 0.0), 1.0)
-    return x, y, z
+    return clamped(x), clamped(y), clamped(z)
 
 
 @triton.jit
@@ -44,6 +139,28 @@ def _keep(t_out, deltas, points, sigma, weights, ray_of, at, t, delta, x, y, z, 
     tl.store(sigma + at, s, mask=mask)
     tl.store(weights + at, w, mask=mask)
     tl.store(ray_of + at, ray, mask=mask)
+
+
+@triton.jit
+def _room_of(counts, last, room, r, valid):
+    """(begin, samples) of the rays, given their counts and the counts' running sums; none for rays without room."""
+    wanted = tl.load(counts + r, mask=valid, other=0)
+    begin = tl.load(last + r, mask=valid, other=0).to(tl.int64) - wanted
+    fits = begin + wanted <= room
+    return tl.where(fits, begin, 0), tl.where(fits, wanted, 0)
+
+
+@triton.jit
+def _fill_up(t_out, deltas, points, sigma, weights, ray_of, begin, found, most, r):
+    """Write zeros where a ray has fewer samples than were counted: the launches may differ by rounding."""
+    zero = 0.0 * found.to(tl.float32)
+    while tl.max((found < most).to(tl.int32), axis=0) > 0:
+        lacks = found < most
+        _keep(
+            t_out, deltas, points, sigma, weights, ray_of, begin + found, zero, zero, zero, zero, zero, zero, zero, r,
+            lacks,
+        )  # fmt: skip
+        found = tl.where(lacks, found + 1, found)
 
 
 @triton.jit(
@@ -61,7 +178,7 @@ def march_kernel(
 
     Then ray r's are starts[r]:ends[r] of t_out, deltas, points, sigma, weights, ray_of; largest[r] is its largest
     weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
-    table to layout, DENSITY, RANK, WIDTH: the density, see density.raw_density.
+    table to layout, DENSITY, RANK, WIDTH: the density, see tables.raw_density.
     """
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     valid = r < rays
@@ -72,11 +189,7 @@ def march_kernel(
     most = tl.where(valid, samples_per_ray, 0)
     begin = r.to(tl.int64) * 0
     if FILL:
-        wanted = tl.load(counts + r, mask=valid, other=0)
-        begin = tl.load(last + r, mask=valid, other=0).to(tl.int64) - wanted
-        fits = begin + wanted <= room
-        most = tl.where(fits, wanted, 0)
-        begin = tl.where(fits, begin, 0)
+        begin, most = _room_of(counts, last, room, r, valid)
     open_ray = t < end
     _x, _y, _z, speed, _j = warp_at(KIND, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
     t = tl.where(open_ray, t + tl.load(jitter + r, mask=valid, other=0.0) * step / speed, t)
@@ -132,15 +245,7 @@ def march_kernel(
         tl.store(ends + r, begin + most, mask=valid)
         tl.store(largest + r, peak, mask=valid)
         tl.atomic_max(total, tl.max(tl.where(most > 0, begin + most, 0), axis=0), sem="relaxed")
-        # The launches may differ by rounding: samples that this one lacks must not be left unwritten.
-        while tl.max((found < most).to(tl.int32), axis=0) > 0:
-            lacks = found < most
-            zero = 0.0 * t
-            _keep(
-                t_out, deltas, points, sigma, weights, ray_of, begin + found, zero, zero, zero, zero, zero, zero,
-                zero, r, lacks,
-            )  # fmt: skip
-            found = tl.where(lacks, found + 1, found)
+        _fill_up(t_out, deltas, points, sigma, weights, ray_of, begin, found, most, r)
     else:
         tl.store(counts + r, found, mask=valid)
 

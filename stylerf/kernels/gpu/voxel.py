@@ -1,4 +1,4 @@
-"""Sparse voxel grids, forward and backward (kernels/cpu/voxel.py).
+"""Sparse voxel grids (kernels/cpu/voxel.py).
 
 links: int32 as fields/voxel.py's Grid makes it: six numbers of the grid, then which block of the table is each block's.
 s0, s1, s2: vertices per axis.
@@ -7,8 +7,7 @@ s0, s1, s2: vertices per axis.
 import triton
 import triton.language as tl
 
-from stylerf.kernels.gpu.indexing import cell, offset, trilinear_corner, vector
-from stylerf.kernels.gpu.vm import EXPONENT_MAX, EXPONENT_MIN, SIZES
+from stylerf.kernels.gpu.indexing import SIZES, cell, offset, trilinear_corner
 
 
 @triton.jit
@@ -20,7 +19,7 @@ def row_of(links, s1, s2, i, j, k, mask):
 
 
 @triton.jit
-def _corners(links, x, y, z, s0, s1, s2, valid):
+def corners(links, x, y, z, s0, s1, s2, valid):
     """(rows, weights) [samples, 8] of the vertices around points, x slowest."""
     corner = tl.arange(0, 8)[None, :]
     i, fx = cell(x, s0)
@@ -32,33 +31,6 @@ def _corners(links, x, y, z, s0, s1, s2, valid):
     along_y = tl.where(dj == 1, fy[:, None], 1.0 - fy[:, None])
     along_z = tl.where(dk == 1, fz[:, None], 1.0 - fz[:, None])
     return rows, along_x * along_y * along_z
-
-
-@triton.jit
-def raw_density(table, links, shift, x, y, z, s0, s1, s2, valid):
-    """exp(shift + interpolated value) of points; shift: pointer."""
-    rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
-    values = tl.load(table + rows, mask=valid[:, None], other=0.0).to(tl.float32)
-    total = tl.load(shift) + tl.sum(weights * values, axis=1)
-    return tl.exp(tl.minimum(tl.maximum(total, EXPONENT_MIN), EXPONENT_MAX))
-
-
-@triton.jit(do_not_specialize=SIZES, do_not_specialize_on_alignment=["shift_to"])
-def density_backward_kernel(
-    links, points, sigma, sigma_gradients, total, to, shift_to, s0, s1, s2, BLOCK: tl.constexpr
-):
-    """Add dL/d(table) of allocated blocks to `to`, dL/d(shift) to shift_to[0]; total: pointer to the sample count."""
-    count = tl.load(total)
-    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
-        k = block * BLOCK + tl.arange(0, BLOCK)
-        inside = k < count
-        g = tl.load(sigma_gradients + k, mask=inside, other=0.0) * tl.load(sigma + k, mask=inside, other=0.0)
-        valid = inside & (g != 0.0)
-        x, y, z = vector(points, k, valid)
-        tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
-        rows, weights = _corners(links, x, y, z, s0, s1, s2, valid)
-        # The block shared by all unallocated ones is never trained, and nothing would clear its gradients.
-        tl.atomic_add(to + rows, weights * g[:, None], mask=valid[:, None] & (rows >= 64), sem="relaxed")
 
 
 @triton.jit

@@ -1,22 +1,14 @@
 """Adam over the flat value tensors of field parts on a GPU, without waiting for the device."""
 
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf.fields.gpu.parts import GpuPart
 from stylerf.kernels.gpu import launch
 from stylerf.training.common.adam import BETA1, BETA2, EPSILON, NORM_STEPS
-
-
-class GpuPart(Protocol):
-    """A density or color on a GPU (fields/gpu)."""
-
-    values: Tensor
-    groups: list[tuple[int, int, float]]
-
-    def smooth(self, strength: float, to: Tensor) -> None: ...
 
 
 class GpuAdam:

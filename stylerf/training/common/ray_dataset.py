@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_cdt
 
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.cpu.pixel_rays import gather
+from stylerf.kernels.cpu.photos import gather
 from stylerf.srgb import codes_at
 
 STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux maps 16 pages around it)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.gpu.field import GpuRays
-from stylerf.kernels.gpu import launch, launch_edit
+from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, RayDataset
 
 AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the device
@@ -93,7 +93,7 @@ class GpuRayDataset:
 
     def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
         """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""
-        origins, directions, wanted = launch_edit.rays_of_pixels(self, chosen)
+        origins, directions, wanted = launch.rays_of_pixels(self, chosen)
         return GpuRays(origins, directions, jitter), wanted
 
     def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:

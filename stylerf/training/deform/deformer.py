@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement_grid import (
+from stylerf.fields.deformation import (
+    Deformation,
     at_rest,
     displaced_occupancy,
     nearest_of,
@@ -21,9 +21,9 @@ from stylerf.fields.displacement_grid import (
     seen_cells,
     vertices_of,
 )
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays

@@ -7,14 +7,14 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.deformation import FARTHEST, Deformation
-from stylerf.fields.gpu.field import GpuField, GpuRays
-from stylerf.fields.gpu.occupancy_grid import FARTHEST as FARTHEST_CELL
-from stylerf.fields.gpu.occupancy_grid import distances_to
+from stylerf.fields.gpu.field import FARTHEST as FARTHEST_CELL
+from stylerf.fields.gpu.field import GpuField, distances_to
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
-from stylerf.kernels.gpu.launch_deform import displaced_cells
+from stylerf.kernels.gpu.launch import displaced_cells
+from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.ray_dataset_gpu import unhidden

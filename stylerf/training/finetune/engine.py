@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam, moments_of, restore_moments

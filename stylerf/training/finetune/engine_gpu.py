@@ -6,13 +6,14 @@ A step sends a number and a jitter for each ray, about seventy kilobytes, and wa
 import numpy as np
 import torch
 
-from stylerf.fields.gpu.field import GpuField, marked_cells
+from stylerf.fields.gpu.field import GpuField
+from stylerf.fields.gpu.parts import GpuPart, marked_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
-from stylerf.kernels.gpu import launch_edit
+from stylerf.kernels.gpu import launch
 from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.training.common.adam import moments_of, restore_moments
-from stylerf.training.common.adam_gpu import GpuAdam, GpuPart
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
@@ -76,7 +77,7 @@ class GpuFineTuneEngine:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
         scale = 2 / (3 * s.rays)
-        gradients = launch_edit.tuning_loss(
+        gradients = launch.tuning_loss(
             rendered.out, wanted, depth, rendered.samples, s.background, scale, pulling, sums
         )
         if field.color_map is not None:

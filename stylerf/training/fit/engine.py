@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.scratch_arena import ScratchArena
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam, moments_of, restore_moments

@@ -11,12 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import GpuField, GpuRays, GpuRendered
-from stylerf.fields.gpu.occupancy_grid import decide, refresh
+from stylerf.fields.gpu.field import GpuField, GpuRendered, decide, refresh
+from stylerf.fields.gpu.parts import GpuPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.adam import moments_of, restore_moments
-from stylerf.training.common.adam_gpu import GpuAdam, GpuPart
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset

@@ -7,11 +7,10 @@ from typing import Any, Protocol, Self, runtime_checkable
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.capacity import Capacity
 from stylerf.fields.encoded_color import EncodedColor
-from stylerf.fields.hash_density import HashDensity
+from stylerf.fields.hash_grid import HashDensity
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.protocol import ColorPart, DensityPart, Growing
+from stylerf.fields.protocol import Capacity, ColorPart, DensityPart, Growing
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity

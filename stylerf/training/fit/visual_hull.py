@@ -6,7 +6,7 @@ import numpy as np
 
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels.cpu.visual_hull import count_clear
+from stylerf.kernels.cpu.photos import count_clear
 
 EMPTY = 8  # alpha, of 255, up to which a pixel is empty: compressed masks leave some
 

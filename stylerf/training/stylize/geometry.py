@@ -6,7 +6,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from torch import Tensor
 
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera

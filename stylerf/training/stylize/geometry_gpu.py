@@ -1,37 +1,26 @@
 """How a stylization renders its scene on a GPU: as geometry.py, all arrays staying on the device."""
 
-from typing import Protocol
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import COLOR_KINDS, GpuField, GpuRendered
+from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.gpu.parts import COLOR_KINDS, GpuColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
-from stylerf.kernels.gpu.launch import GpuSamples
+from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
-from stylerf.training.common.adam_gpu import GpuAdam, GpuPart
+from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import sent
 from stylerf.training.deform.deformer_gpu import GpuDeformer
 from stylerf.training.stylize.geometry import OPAQUE, RayGeometry
 
 RAYS_AT_ONCE = 1 << 17
 MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
-
-
-class GpuColor(GpuPart, Protocol):
-    """A color of fields/gpu; one that looks the same from every direction needs none."""
-
-    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor: ...
-
-    def backward(
-        self, samples: GpuSamples, directions: Tensor | None, colors: Tensor, color_gradients: Tensor, to: Tensor
-    ) -> None: ...
 
 
 class GpuFixedGeometry:

@@ -14,8 +14,7 @@ from torch import Tensor
 from stylerf.editing.palette_hull import ExtractedPalette, extracted
 from stylerf.editing.palette_losses import sparsity
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.palette_head import Parts
+from stylerf.fields.palette_color import PaletteColor, Parts
 from stylerf.fields.protocol import ColorPart
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.stylize.scene import StyledScene, StyleProblem

@@ -12,12 +12,10 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.color_map import ColorMap
-from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement_grid import at_rest
+from stylerf.fields.deformation import Deformation, at_rest
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
-from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.radiance_field import ColorMap, RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID

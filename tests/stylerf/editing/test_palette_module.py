@@ -11,8 +11,8 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels import torch_reference
 from tests.stylerf.editing.region_pictures import PLAIN
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, float64
 
 LAYOUT = {"levels": 8, "base": 3, "finest": 20, "table": 256}

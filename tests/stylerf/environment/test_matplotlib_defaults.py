@@ -39,7 +39,7 @@ def test_the_current_folder_is_restored_even_if_it_was_deleted(tmp_path):
     (tmp_path / "gone").mkdir()
     code = """
 import os, pathlib
-from stylerf.environment.current_folder import current_folder
+from stylerf.environment.trusted_paths import current_folder
 os.rmdir(os.getcwd())
 before = os.stat(".").st_ino
 with current_folder(pathlib.Path("/")):

@@ -1,4 +1,4 @@
-"""Every kind of density: values, gradients to numbers and positions, the walk, growth; against the float64 oracle."""
+"""Every kind of density: values, gradients to numbers and positions, the march, growth; against the float64 oracle."""
 
 from dataclasses import replace
 
@@ -22,7 +22,13 @@ from tests.stylerf.small import (
     voxel_density,
 )
 
-MADE = {"vm": density, "hash": hash_density, "voxel": voxel_density}
+MADE = {
+    "vm": density,
+    "vm of rank 16": lambda seed: density(seed, rank=16),
+    "vm of rank 3": lambda seed: density(seed, rank=3),
+    "hash": hash_density,
+    "voxel": voxel_density,
+}
 
 
 @pytest.fixture(params=MADE)
@@ -35,19 +41,22 @@ def test_density_and_its_gradient_equal_the_oracle(made):
     values = float64(made.values).requires_grad_()
     expected = oracle_density(made, values, float64(s.x))
     assert float(expected.detach().max() / expected.detach().min()) > 5
+    vm = made.kind == "vm"
     for chunks in (1, 4):
-        close(made.sigma(s.x, chunks), expected, 3e-6)
+        close(made.sigma(s.x, chunks), expected, 2e-6 if vm else 3e-6)
     gradients = np.random.default_rng(2).normal(size=len(s.x)).astype(np.float32)
     gradients[3] = 0
     s.sigma[:] = expected.detach()
     at = owned(s)
+    assert len(at) < len(s.x)
     (expected[at] * float64(gradients[at])).sum().backward()
     for chunks in (1, 2):
         to = buffers(chunks, len(made.values))
         made.backward(s, gradients, to)
         fixed = made.groups()[0][0]  # what stands for blocks not kept never learns: asked for, but no gradient is left
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
-        close(added(to)[fixed:], values.grad[fixed:], 1e-5)
+        close(added(to)[fixed:], values.grad[fixed:], 5e-6 if vm else 1e-5)
+        assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
 
 
 def test_position_gradient_equals_the_oracle(made):
@@ -60,7 +69,7 @@ def test_position_gradient_equals_the_oracle(made):
     expected = oracle_density(made, float64(made.values), x)
     s.sigma[at] = expected.detach()
     (expected * float64(gradients[at])).sum().backward()
-    for chunks in (1, 3):
+    for chunks in (1, 2, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
         made.add_position_gradients(s, gradients, out, chunks)
         close(out[at] - 0.25, x.grad, 2e-5)
@@ -86,7 +95,7 @@ def test_the_exponent_is_clamped_and_lets_gradients_pass(made, shift, limit):
     np.testing.assert_allclose(s.sigma, limit, rtol=1e-6)
     to = np.zeros((1, len(made.values)), np.float32)
     made.backward(s, np.full(len(s.x), 1 / limit, np.float32), to)
-    assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)
+    assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)  # a field stuck at the clamp can still come back
 
 
 LARGER = {
@@ -97,8 +106,9 @@ LARGER = {
 OCCUPIED = np.array([0.25, 0.5, 0.5])  # of SPARSE
 
 
-def test_a_grown_density_is_the_same_density(made):
-    s = samples()
+@pytest.mark.parametrize("kind", LARGER)
+def test_a_grown_density_is_the_same_density(kind):
+    made, s = MADE[kind](3), samples()
     x = s.x * np.float32(OCCUPIED) if made.kind == "voxel" else s.x
     grown = made.grown(LARGER[made.kind], np.random.default_rng(0))
     assert len(grown.values) > 2 * len(made.values)

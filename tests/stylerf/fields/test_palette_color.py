@@ -8,13 +8,12 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.palette_edits import PaletteEdits
+from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.recoloring import Recoloring, SpaceFilter
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.cpu.test_vm import RAYS, added, basis_of, buffers, owned, samples
 from tests.stylerf.small import close, field_of, float64, rays_into
 
@@ -33,7 +32,7 @@ def made(seed: int = 4) -> PaletteColor:
 
 
 def written_out(color: PaletteColor, values: torch.Tensor, basis: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    """The formula of fields/palette_head.py, term by term."""
+    """The formula of fields/palette_color.py, term by term."""
     levels, m = color.features.levels, color.bases
     table, palette, numbers = values.split([color.features.length, 3 * m, color.head.length])
     rows = torch_reference.hash_levels(

@@ -4,7 +4,7 @@ import inspect
 
 import pytest
 
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import ColorPart, DensityPart, Growing, Part
 from stylerf.fields.radiance_field import COLOR_KINDS, DENSITY_KINDS

@@ -7,8 +7,7 @@ import pytest
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.rank_truncation import EMPTY, best_ranks, best_seen_ranks, texel_weights
-from stylerf.fields.vm import VmColor, VmDensity
-from stylerf.fields.vm_tables import split_table
+from stylerf.fields.vm import VmColor, VmDensity, split_table
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.hash_levels import Levels
+from stylerf.fields.hash_grid import Levels
 from stylerf.fields.voxel import Grid
 from tests.stylerf.kernels.cpu.test_vm import buffers
 from tests.stylerf.small import SMALL, SPARSE, close, float64, hash_density, headed, voxel_density

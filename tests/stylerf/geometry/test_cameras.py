@@ -1,10 +1,11 @@
-"""Rays of a camera, against its own projection."""
+"""Rays of a camera, against its own projection; matched points of two, against points that are known in space."""
 
 import numpy as np
 import pytest
 
 from stylerf.geometry.camera_paths import look_at
-from stylerf.geometry.cameras import Camera
+from stylerf.geometry.cameras import Camera, epipolar_distance, essential, largest_parallax
+from tests.stylerf.geometry.test_camera_conventions import random_rotation
 
 POSE = look_at(np.array([1.7, -2.0, 0.9]), np.array([0.1, 0.2, 0.0]), np.array([0, 0, 1.0]))
 CAMERA = Camera("one", 23, 17, 21.0, 24.0, 10.3, 9.1, POSE)
@@ -26,3 +27,39 @@ def test_rays_of_some_pixels_are_the_same_to_the_bit(chosen):
     every, some = CAMERA.rays(), CAMERA.rays(np.array(chosen))
     for whole, part in zip(every, some):
         assert np.array_equal(whole[chosen], part)
+
+
+def pose(seed: int, center) -> np.ndarray:
+    """A camera that looks roughly along z."""
+    matrix = np.eye(4)
+    near_one, signs = np.linalg.qr(np.eye(3) + 0.2 * random_rotation(seed))
+    matrix[:3, :3], matrix[:3, 3] = near_one * np.sign(np.diag(signs)), center
+    return matrix
+
+
+def seen(points, world_from_camera):
+    local = (points - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+    return local[:, :2] / local[:, 2:]
+
+
+def test_matches_of_true_points_lie_on_their_epipolar_lines():
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, 0, 5]
+    first, second = pose(1, [0, 0, 0]), pose(2, [0.8, 0.1, -0.2])
+    matrix = essential(first, second)
+    assert epipolar_distance(matrix, seen(points, first), seen(points, second)).max() < 1e-12
+    assert epipolar_distance(np.zeros((3, 3)), seen(points, first), seen(points, second)).max() == 0
+
+
+def test_a_match_moved_off_its_line_is_so_far_from_it():
+    """Cameras side by side: epipolar lines are rows, so the distance is the difference in y."""
+    first, second = np.eye(4), np.eye(4)
+    second[0, 3] = 1.0
+    one = np.array([[0.1, 0.2], [-0.3, 0.05]])
+    two = one + [[-0.2, 0.03], [-0.1, -0.07]]
+    np.testing.assert_allclose(epipolar_distance(essential(first, second), one, two), [0.03, 0.07], atol=1e-12)
+
+
+def test_parallax_is_the_widest_angle():
+    centers = np.array([[1.0, 0, 0], [0, 0, 1.0], [np.sqrt(0.5), 0, np.sqrt(0.5)]])
+    assert abs(largest_parallax(np.zeros(3), centers) - 90) < 1e-9
+    assert largest_parallax(np.zeros(3), centers[:1]) < 1e-5

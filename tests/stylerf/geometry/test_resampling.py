@@ -5,7 +5,7 @@ import OpenImageIO as oiio
 import pytest
 
 from stylerf.geometry.resampling import nearest, shrunk
-from stylerf.kernels.cpu.image_remap import remapped
+from stylerf.kernels.cpu.photos import remapped
 
 RANDOM = np.random.default_rng(3)
 

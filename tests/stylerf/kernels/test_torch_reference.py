@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.hash_color import HashColor, level_layout
-from stylerf.fields.vm import VmColor, VmDensity
-from stylerf.fields.vm_tables import split_table, table_length
+from stylerf.fields.hash_grid import HashColor, Levels
+from stylerf.fields.vm import VmColor, VmDensity, split_table, table_length
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import SPACES, float64
 
 TIGHT = {"rtol": 1e-12, "atol": 1e-12}
@@ -122,8 +121,9 @@ def test_layouts_are_those_of_the_fields():
 
 def test_hash_color_equals_a_loop_over_levels_and_corners():
     levels, base, finest, table = 5, 2, 11, 128
-    layout, count = level_layout(levels, base, finest, table)
-    assert sorted(set(layout[5])) == [-1, 0]  # directly indexed and hashed levels, both
+    grid = Levels(levels, base, finest, table, 4, levels)
+    count = grid.length
+    assert sorted(set(grid.layout()[5])) == [-1, 0]  # directly indexed and hashed levels, both
     values = np.random.default_rng(1).normal(size=count)
     x = points(20)
     found = torch_reference.hash_color(float64(values), levels, base, finest, table, x).numpy()

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.color_map import ColorMap
-from stylerf.fields.displacement_grid import position_gradients
-from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.deformation import position_gradients
+from stylerf.fields.radiance_field import ColorMap, RadianceField
 from stylerf.rendering.rays import alpha_inside, backward, render_rays
 from tests.stylerf.small import (
     SPACES,

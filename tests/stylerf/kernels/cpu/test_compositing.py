@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu import compositing as kernels
+from stylerf.kernels.cpu.color_heads import count_marked
 from stylerf.kernels.cpu.ray_samples import Samples
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, float64
 
 # Rays of many kinds: many samples, none, one, one opaque, many behind an opaque one, uncolored ones only.
@@ -140,7 +141,7 @@ def test_visible_weights_keep_the_largest_and_drop_the_small():
     kernels.visible_weights(packed, np.float32(1), 1, shown)
     assert shown.tolist() == np.float32([0.5, 0, 0, 0, 0.3, 0, 0, 0, 0.7]).tolist()
     counts = np.empty(5, np.int64)
-    kernels.count_visible(shown, starts, ends, 2, counts)
+    count_marked(shown.reshape(-1, 1), np.float32(0), starts, ends, 2, counts)
     assert counts.tolist() == [1, 1, 0, 1, 0]
 
 

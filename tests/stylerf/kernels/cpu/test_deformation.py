@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from stylerf.fields.displacement_grid import displacement_gradient
+from stylerf.fields.deformation import displacement_gradient
 from stylerf.fields.marching import displacement_arrays, occupancy_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.deformation import displaced_cells, mark_cells
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.cpu.test_march import STEP, even_fog, march
-from tests.stylerf.kernels.cpu.test_vm import RAYS, basis_of, owned, samples
+from tests.stylerf.kernels.cpu.test_vm import owned, samples
 from tests.stylerf.small import (
     SPACES,
     Packed,
@@ -19,47 +19,9 @@ from tests.stylerf.small import (
     density,
     displacement_grid,
     float64,
-    oracle_color,
-    oracle_density,
     points_on,
     rays_into,
-    vm_color,
 )
-
-
-def test_density_position_gradient_equals_the_oracle():
-    made, s = density(3), samples()
-    s.x[:] = np.random.default_rng(4).uniform(0.01, 0.99, s.x.shape)  # on a cell's side the slope has two answers
-    at = owned(s)
-    x = float64(s.x[at]).requires_grad_()
-    gradients = np.random.default_rng(2).normal(size=len(s.x)).astype(np.float32)
-    gradients[[3, 9]] = 0
-    expected = oracle_density(made, float64(made.values), x)
-    s.sigma[at] = expected.detach()
-    (expected * float64(gradients[at])).sum().backward()
-    for chunks in (1, 2):
-        out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, gradients, out, chunks)
-        close(out[at] - 0.25, x.grad, 2e-5)
-        assert (np.delete(out, at, 0) == 0.25).all()
-
-
-@pytest.mark.parametrize("degree", [0, 1])
-def test_vm_color_position_gradient_equals_the_oracle(degree):
-    made, s = vm_color(4, degree=degree), samples(5)
-    s.x[:] = np.random.default_rng(4).uniform(0.01, 0.99, s.x.shape)
-    s.weights[[4, 11, 30]] = 0
-    at, rays, basis = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts), basis_of(s, degree)
-    x = float64(s.x[at]).requires_grad_()
-    gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    colors = made.colors(s.shading_points(), basis, 1)
-    expected = oracle_color(made, float64(made.values), float64(basis[rays]), x)
-    (expected * float64(gradients[at]))[s.weights[at] > 0].sum().backward()
-    for chunks in (1, 3):
-        out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s.shading_points(), basis, colors, gradients, out, chunks)
-        close(out[at] - 0.25, x.grad, 2e-5)
-        assert (np.delete(out, at, 0) == 0.25).all()
 
 
 def test_density_position_gradient_of_an_exponential_slope():

@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.vm import VmDensity
-from stylerf.fields.vm_tables import split_table
-from stylerf.kernels import torch_reference
+from stylerf.fields.vm import VmDensity, split_table
 from stylerf.kernels.cpu.ray_samples import Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.cpu.test_march import even_fog, march
 from tests.stylerf.small import SPACES, Packed, density, float64, occupied, rays_into
 

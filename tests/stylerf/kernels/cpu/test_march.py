@@ -8,9 +8,9 @@ from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.march import OPTICAL_SCALE, warp_points
 from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import (
     SPACES,
     Packed,

@@ -1,15 +1,17 @@
-"""vm density and color, their gradients and the planes' smoothness, against the oracle."""
+"""vm density and color: the planes' smoothness, growth and the grid's far side, against the oracle.
+
+Their values and gradients: test_densities.py and test_encoded_color.py.
+"""
 
 import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.vm import VmDensity
-from stylerf.fields.vm_tables import split_table
+from stylerf.fields.vm import VmDensity, split_table
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Samples
-from tests.stylerf.small import SIZE, close, density, float64, oracle_color, oracle_density, vm_color
+from tests.stylerf.kernels import torch_reference
+from tests.stylerf.small import SIZE, close, density, float64, oracle_color, vm_color
 
 RAYS = 9
 
@@ -45,65 +47,6 @@ def buffers(chunks: int, length: int) -> np.ndarray:
 
 def added(to: np.ndarray) -> np.ndarray:
     return (to.astype(np.float64) - np.linspace(-1, 1, to.shape[1], dtype=np.float32)).sum(0)
-
-
-@pytest.mark.parametrize("rank", [16, 3])
-def test_density_and_its_gradient_equal_the_oracle(rank):
-    made, s = density(3, rank=rank), samples()
-    values = float64(made.values).requires_grad_()
-    expected = oracle_density(made, values, float64(s.x))
-    for chunks in (1, 4):
-        close(made.sigma(s.x, chunks), expected, 2e-6)
-    gradients = np.random.default_rng(2).normal(size=len(s.x)).astype(np.float32)
-    gradients[3] = 0
-    s.sigma[:] = expected.detach()
-    at = owned(s)
-    assert len(at) < len(s.x)
-    (expected[at] * float64(gradients[at])).sum().backward()
-    for chunks in (1, 2):
-        to = buffers(chunks, len(made.values))
-        made.backward(s, gradients, to)
-        close(added(to), values.grad, 5e-6)
-        assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
-
-
-@pytest.mark.parametrize(("shift", "limit"), [(-40.0, np.exp(-15.0)), (40.0, np.exp(12.0))])
-def test_the_exponent_is_clamped_and_lets_gradients_pass(shift, limit):
-    made, s = density(3, shift=shift), samples()
-    s = s._replace(sigma=made.sigma(s.x, 1))
-    np.testing.assert_allclose(s.sigma, limit, rtol=1e-6)
-    gradients = np.full(len(s.x), 1 / limit, np.float32)
-    to = np.zeros((1, len(made.values)), np.float32)
-    made.backward(s, gradients, to)
-    assert to[0, -1] == pytest.approx(len(owned(s)), rel=1e-5)  # a field stuck at the clamp can still come back
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2])
-def test_color_and_its_gradients_equal_the_oracle(degree):
-    made, s = vm_color(4, degree=degree), samples(5)
-    basis = basis_of(s, degree)
-    s.weights[[4, 11, 30]] = 0
-    at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
-    values = float64(made.values).requires_grad_()
-    expected = oracle_color(made, values, float64(basis[rays]), float64(s.x[at]))
-    shown = s.weights[at] > 0
-    gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
-    (expected * float64(gradients[at]))[shown].sum().backward()
-    for chunks in (1, 2):
-        found = made.colors(s.shading_points(), basis, chunks)
-        close(found[at][shown], expected[shown], 2e-6)
-        assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
-        to = buffers(chunks, len(made.values))
-        made.backward(s.shading_points(), basis, found, gradients, to)
-        close(added(to), values.grad, 1e-5)
-
-
-def test_points_without_weight_get_no_color():
-    made, s = vm_color(4), samples()
-    s.weights[:21] = 0
-    found = made.colors(s.shading_points(), basis_of(s, 1), 1)
-    at = owned(s)
-    assert np.array_equal(found[at, 0] >= 0, at > 20)
 
 
 def test_a_sample_at_the_far_side_reads_the_last_vertex():

@@ -4,7 +4,7 @@ import torch
 
 from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.field import GpuField, unsupported
-from stylerf.kernels.gpu import launch, launch_deform, launch_edit
+from stylerf.kernels.gpu import launch
 from stylerf.training.edit.trainer import EditSettings, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.fields.test_region_color import CELLS, patch
@@ -62,7 +62,7 @@ def everything() -> None:
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
         launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
-    launch_deform.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
+    launch.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
     from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
     from tests.stylerf.training.scenes import box_bank
 
@@ -74,8 +74,8 @@ def everything() -> None:
 
 def local_edits(rendered, bank) -> None:
     """What learning an edit and fine-tuning launch beside the field's own kernels."""
-    launch_edit.ends_inside(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS, rendered.samples)
-    launch_edit.tuning_loss(
+    launch.ends_inside(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS, rendered.samples)
+    launch.tuning_loss(
         rendered.out, torch.zeros(8, 4), torch.zeros(3), rendered.samples, 1.0, 0.1, 0.1, torch.zeros(5)
     )
     bank.at(torch.zeros(16, dtype=torch.int64), torch.zeros(16))

@@ -11,7 +11,7 @@ from tests.stylerf.small import Packed, float64, oracle_pixels
 
 
 def device_rays(rays, device):
-    from stylerf.fields.gpu.field import GpuRays
+    from stylerf.kernels.gpu.ray_samples import GpuRays
 
     return GpuRays(*(torch.from_numpy(a).to(device) for a in (rays.origins, rays.directions, rays.jitter)))
 
@@ -25,7 +25,7 @@ def on_host(samples) -> Samples:
 def brought_over(rendered, rays, device):
     """What the CPU rendered as a DeviceField would have: samples packed, the room filled."""
     from stylerf.fields.gpu.field import GpuRendered
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     packed = Packed.of(rendered.samples)
     counts = torch.bincount(packed.rays, minlength=len(rays.origins))
@@ -66,7 +66,7 @@ def gradients_of(made, rendered, gradients, near_scaling_distance: float = 0.0) 
 
 def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, device, spare: int = 5):
     """GpuSamples at cube points [n, 3] of rays [n], ascending; `spare` more find room and are poisoned."""
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     count, n = int(rays.max(initial=-1)) + 1, len(points)
     counts = np.bincount(rays, minlength=count)

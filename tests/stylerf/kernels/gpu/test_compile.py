@@ -33,18 +33,17 @@ def test_all_kernels_compile_and_fit(tmp_path, capability):
     found = compiled(tmp_path, "", capability)
     kernels = {row["kernel"] for row in found}
     assert kernels == {
-        "march.march_kernel", "vm.density_kernel", "vm.density_backward_kernel", "vm.color_kernel",
-        "vm.color_backward_kernel", "vm.smoothness_kernel", "hash.color_kernel", "hash.color_backward_kernel",
-        "composite.composite_kernel", "composite.composite_backward_kernel", "composite.loss_kernel",
-        "composite.surface_distance_kernel",
-        "density.density_kernel", "hash_density.density_backward_kernel", "hash_density.smoothness_kernel",
-        "voxel.density_backward_kernel", "voxel.smoothness_kernel", "heads.linear_kernel",
-        "heads.linear_backward_kernel", "heads.harmonic_kernel", "heads.harmonic_backward_kernel",
-        "mlp_head.mlp_kernel", "mlp_head.mlp_backward_kernel",
-        "composite.shade_backward_kernel", "adam.adam_kernel", "pixels.draw_kernel", "pixels.rays_kernel",
-        "deform.density_position_kernel", "deform.vm_color_position_kernel", "deform.hash_color_position_kernel",
-        "deform.displacement_backward_kernel", "deform.displaced_cells_kernel",
-        "patch.color_kernel", "patch.color_backward_kernel", "regions.keep_kernel", "regions.ends_kernel",
-        "composite.tuning_loss_kernel", "hash.rows_kernel", "hash.rows_backward_kernel",
+        "march.march_kernel", "tables.density_kernel", "tables.density_backward_kernel",
+        "vm.smoothness_kernel", "hash_levels.smoothness_kernel", "voxel.smoothness_kernel",
+        "color_heads.color_kernel", "color_heads.linear_backward_kernel", "color_heads.harmonic_backward_kernel",
+        "color_heads.mlp_backward_kernel",
+        "hash_color.color_kernel", "hash_color.color_backward_kernel", "hash_color.rows_kernel",
+        "hash_color.rows_backward_kernel", "regions.color_kernel", "regions.color_backward_kernel",
+        "regions.keep_kernel", "regions.ends_kernel", "compositing.composite_kernel",
+        "compositing.composite_backward_kernel", "compositing.surface_distance_kernel", "compositing.loss_kernel",
+        "compositing.tuning_loss_kernel", "compositing.shade_backward_kernel", "adam.adam_kernel",
+        "pixel_rays.draw_kernel", "pixel_rays.rays_kernel", "deformation.density_position_kernel",
+        "deformation.vm_color_position_kernel", "deformation.hash_color_position_kernel",
+        "deformation.displacement_backward_kernel", "deformation.displaced_cells_kernel",
     }  # fmt: skip
     assert all(row["shared"] <= SHARED for row in found), max(found, key=lambda row: row["shared"])

@@ -36,7 +36,7 @@ def directions(count: int) -> np.ndarray:
 
 def loose(device, x: np.ndarray, sigma: np.ndarray | None = None):
     """Samples at positions x [n, 3], one to a ray, as the device holds them; what lies beyond them is NaN."""
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     n = len(x)
     poison = torch.full((ROOM,), float("nan"), device=device)
@@ -64,7 +64,7 @@ def padded(array: np.ndarray, device) -> torch.Tensor:
 
 
 def test_the_densitys_slopes_equal_the_oracles(device):
-    from stylerf.fields.gpu.field import GpuVmDensity
+    from stylerf.fields.gpu.parts import GpuVmDensity
 
     made, x = density(3), positions()
     exact = float64(x).requires_grad_()
@@ -84,7 +84,7 @@ COLORS = {"hash": lambda: hash_color(5)} | {f"vm {d}": lambda d=d: vm_color(4, d
 
 @pytest.mark.parametrize("kind", COLORS)
 def test_colors_slopes_equal_the_oracles(kind, device):
-    from stylerf.fields.gpu.field import COLOR_KINDS
+    from stylerf.fields.gpu.parts import COLOR_KINDS
 
     made, x, ways = COLORS[kind](), positions(), directions(ROOM)
     exact = float64(x).requires_grad_()
@@ -167,15 +167,16 @@ def test_a_grid_of_zeros_learns_as_one_that_bends(device):
 def spread(device, x, gradient, where=(0.5, 0.5, 0.5), deltas: float = 1.0) -> np.ndarray:
     """dL/dD [2, 2, 2, 3] of one sample of a unit box at `where`, displaced to x."""
     from stylerf.geometry.space_warp import SpaceWarp
-    from stylerf.kernels.gpu import launch_deform
+    from stylerf.kernels.gpu import launch
+    from stylerf.kernels.gpu.ray_samples import GpuRays
 
     samples = loose(device, np.float32([x]))
     samples.t, samples.deltas = (torch.full((ROOM,), v, device=device) for v in (2.0, deltas))
     ways = torch.tensor([[1.0, 0, 0]], device=device)
-    origins = torch.tensor([where], device=device) - 2 * ways
+    rays = GpuRays(torch.tensor([where], device=device) - 2 * ways, ways, torch.zeros(1, device=device))
     to, space = torch.zeros(24, device=device), SpaceWarp.box([0] * 3, [1] * 3)
     parameters, given = torch.from_numpy(space.packed()).to(device), padded(np.float32([gradient]), device)
-    launch_deform.displacement_backward(space.code, parameters, origins, ways, samples, given, 2, to)
+    launch.displacement_backward(space.code, parameters, rays, samples, given, 2, to)
     return to.cpu().numpy().reshape(2, 2, 2, 3)
 
 
@@ -208,17 +209,17 @@ def test_rays_without_samples_teach_the_grid_nothing(device):
 
 @pytest.mark.parametrize("reach", [0.05, 0.3])
 def test_cells_are_occupied_where_the_cpu_finds_them(reach, device):
-    from stylerf.kernels.gpu import launch_deform
+    from stylerf.kernels.gpu import launch
 
     cells, moved, occupancy = 7, displacement_grid(2, cells=4, reach=reach), OccupancyGrid(7)
     occupancy.set_occupied(np.random.default_rng(3).random(cells**3) < 0.03)
     expected = np.zeros(cells**3, np.bool_)
     displaced_cells(occupancy_arrays(occupancy), displacement_arrays(moved), cells, expected)
     distances, grid = (torch.from_numpy(a).to(device) for a in (occupancy.distances, moved.reshape(-1)))
-    found = launch_deform.displaced_cells(distances, cells, cells, grid, 4)
+    found = launch.displaced_cells(distances, cells, cells, grid, 4)
     assert np.array_equal(found.cpu().numpy().ravel(), expected) and 0 < expected.sum() < cells**3
     # Only cells within reach are looked at; where nothing is occupied nothing comes to be.
-    near = launch_deform.displaced_cells(distances, cells, 1, grid, 4).cpu().numpy().ravel()
+    near = launch.displaced_cells(distances, cells, 1, grid, 4).cpu().numpy().ravel()
     assert np.array_equal(near, expected & (occupancy.distances <= 1))
     nowhere = torch.full_like(distances, 255)
-    assert not launch_deform.displaced_cells(nowhere, cells, cells, grid, 4).any()
+    assert not launch.displaced_cells(nowhere, cells, cells, grid, 4).any()

@@ -8,8 +8,8 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels import torch_reference
 from stylerf.kernels.cpu.ray_samples import Rays
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
 from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
 
@@ -107,8 +107,8 @@ def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, m
 
     march_rays = launch._march_rays
 
-    def miscounted(inputs, density, origins, directions, jitter, samples, last, room, fill):
-        march_rays(inputs, density, origins, directions, jitter, samples, last, room, fill)
+    def miscounted(inputs, density, rays, samples, last, room, fill):
+        march_rays(inputs, density, rays, samples, last, room, fill)
         if not fill:
             samples.counts -= 1
 

@@ -9,7 +9,7 @@ import torch
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
-from stylerf.fields.vm_tables import split_table
+from stylerf.fields.vm import split_table
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays

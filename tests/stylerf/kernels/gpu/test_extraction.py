@@ -68,8 +68,8 @@ def test_a_view_shows_the_same_of_the_region(walked):
 
 
 def test_sums_of_rays_by_hand(device):
-    from stylerf.kernels.gpu import launch_edit
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu import launch
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     x = torch.tensor([[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [0.2, 0.4, 0.3], [1.0, 1.0, 1.0]])
     weights, t, nothing = torch.tensor([0.5, 0.25, 0.2, 0.1]), torch.tensor([1.0, 2.0, 3.0, 4.0]), torch.zeros(4)
@@ -78,6 +78,6 @@ def test_sums_of_rays_by_hand(device):
                                                      weights, nothing)))  # fmt: skip
     marked = torch.zeros(8, dtype=torch.uint8, device=device)
     marked[0] = 1  # the corner at the origin
-    found = launch_edit.ends_inside(marked, 2, samples)
+    found = launch.ends_inside(marked, 2, samples)
     expected = [[0.75, 0.5, 0.5, 0.05, 0.05, 0.05], [0] * 6, [0.3, 0.2, 0.6, 0.04, 0.08, 0.06]]
     np.testing.assert_allclose(found.cpu(), expected, rtol=1e-6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.color_map import ColorMap
+from stylerf.fields.radiance_field import ColorMap
 from stylerf.fields.region_color import RegionColor
 from stylerf.training.backends import finetune_engine
 from stylerf.training.finetune.engine import FineTuneSettings
@@ -83,8 +83,8 @@ def test_chosen_pixels_become_the_cpus_rays(bank, device):
 
 @pytest.mark.parametrize(("edited_rays", "depth_scale"), [(5, 0.3), (5, 0.0), (0, 0.3), (9, 0.3)])
 def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, device):
-    from stylerf.kernels.gpu import launch_edit
-    from stylerf.kernels.gpu.launch import GpuSamples
+    from stylerf.kernels.gpu import launch
+    from stylerf.kernels.gpu.ray_samples import GpuSamples
 
     generator, level = torch.Generator().manual_seed(1), 0.7
     out, wanted = (torch.rand(9, n, generator=generator) for n in (5, 4))
@@ -100,7 +100,7 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
         *(t.to(device) for t in (starts, ends, counts)), nothing, torch.zeros(1), *[nothing] * 6
     )  # fmt: skip
     sums = torch.zeros(5, device=device)
-    found = launch_edit.tuning_loss(
+    found = launch.tuning_loss(
         out.to(device), wanted.to(device), depth.to(device), samples, level, 0.2, depth_scale, sums
     )
     exact = out.double().requires_grad_()

@@ -44,7 +44,7 @@ def walked(device, count: int = 60):
 
 
 def on_device(part, device, half=False):
-    from stylerf.fields.gpu.field import COLOR_KINDS, DENSITY_KINDS
+    from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS
 
     return (DENSITY_KINDS if part.kind in DENSITIES else COLOR_KINDS)[part.kind](part, device, half)
 

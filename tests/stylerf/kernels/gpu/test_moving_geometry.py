@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.deformation import Deformation
-from stylerf.fields.displacement_grid import displaced_occupancy
+from stylerf.fields.deformation import Deformation, displaced_occupancy
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
 from stylerf.training.backends import deform_backend

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.kernels import torch_reference
 from stylerf.training.common.adam import Adam
 from stylerf.training.common.ray_dataset import RayDataset
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, density, float64, hash_color, vm_color
 from tests.stylerf.training.scenes import box_bank
 
@@ -93,7 +93,7 @@ def test_hash_rows_and_their_gradient_equal_the_oracle(device):
 
 @pytest.mark.parametrize("make", [lambda: density(1), lambda: vm_color(2), lambda: hash_color(3)])
 def test_smoothing_equals_the_cpus(make, device):
-    from stylerf.fields.gpu import field as parts
+    from stylerf.fields.gpu import parts
 
     part = make()
     kinds = parts.DENSITY_KINDS if part.values.size == density(1).values.size else parts.COLOR_KINDS
@@ -153,7 +153,7 @@ def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(devi
 
 
 def test_distances_are_scipys_and_never_beyond(device):
-    from stylerf.fields.gpu.occupancy_grid import distances_to
+    from stylerf.fields.gpu.field import distances_to
 
     full, exact = np.random.default_rng(0).random((12, 12, 12)) < 0.004, OccupancyGrid(12)
     assert full.any()
@@ -164,8 +164,7 @@ def test_distances_are_scipys_and_never_beyond(device):
 
 
 def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device):
-    from stylerf.fields.gpu.field import GpuField
-    from stylerf.fields.gpu.occupancy_grid import refresh
+    from stylerf.fields.gpu.field import GpuField, refresh
     from tests.stylerf.small import SPACES, field_of
 
     field = field_of(SPACES["box"], 3)
@@ -192,8 +191,7 @@ def test_the_occupancy_looks_where_it_should_and_decides_as_the_cpus_does(device
 
 
 def test_the_occupancy_forgets_no_density_at_once_however_high(device):
-    from stylerf.fields.gpu.field import GpuField
-    from stylerf.fields.gpu.occupancy_grid import refresh
+    from stylerf.fields.gpu.field import GpuField, refresh
     from tests.stylerf.small import SPACES, field_of
 
     made = GpuField(field_of(SPACES["box"], 3), device)

@@ -113,7 +113,7 @@ def test_pixels_and_gradients_are_the_cpus(case, device):
 
 
 def test_density_learns_in_the_cells_alone(device):
-    from stylerf.fields.gpu.field import marked_cells as on_device
+    from stylerf.fields.gpu.parts import marked_cells as on_device
 
     field, rays, made, rendered, towards = walked("some cells", device)
     cpu = render_rays(field, rays, threads=1, weight_threshold=SHARE)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.kernels import torch_reference
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import by_oracle, device_rays, gradients_of, on_host
 from tests.stylerf.small import (
     SPACES,

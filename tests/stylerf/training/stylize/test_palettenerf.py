@@ -9,9 +9,8 @@ import torch
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import weight_variation
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColor
-from stylerf.fields.palette_head import Parts
-from stylerf.fields.recoloring import Recoloring
+from stylerf.fields.palette_color import PaletteColor, Parts
+from stylerf.fields.palette_edits import Recoloring
 from stylerf.rendering.view import render_view
 from stylerf.training.stylize.palettenerf import (
     DecompositionWeights,

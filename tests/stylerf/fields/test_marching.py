@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.fields.scratch_arena import ScratchArena, empty_array
+from stylerf.fields.marching import ScratchArena, empty_array
 
 
 def test_without_an_arena_every_array_is_new():

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_encoding import HashEncoding
-from stylerf.kernels import torch_reference
+from tests.stylerf.kernels import torch_reference
 from tests.stylerf.small import close, float64
 
 # 3 to 40 cells: levels of 4^3 and 6^3 vertices are indexed directly, finer ones share 512 entries.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.hash_color import HashColor
+from stylerf.fields.hash_grid import HashColor
 from stylerf.kernels.cpu.ray_samples import Samples, ShadingPoints
 from tests.stylerf.kernels.cpu.test_vm import added, buffers, owned, samples
 from tests.stylerf.small import close, float64, hash_color, oracle_color

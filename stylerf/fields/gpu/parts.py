@@ -1,0 +1,324 @@
+"""The parts of a field on a GPU: their values as tensors, the Triton kernels behind them.
+
+half: a table is read in half precision and cannot learn.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import triton
+from torch import Tensor
+
+from stylerf.fields.color_heads import HIDDEN
+from stylerf.fields.hash_grid import Levels
+from stylerf.fields.vm import table_length
+from stylerf.fields.voxel import Grid
+from stylerf.geometry.spherical_harmonics import BANDS
+from stylerf.kernels.gpu import color_heads, deformation, hash_color, hash_levels, regions, tables, vm, voxel
+from stylerf.kernels.gpu.launch import POINTS, SAMPLES, over, over_samples, width_of
+from stylerf.kernels.gpu.ray_samples import GpuSamples
+from stylerf.kernels.gpu.tables import HASH, VM, VOXEL
+
+# With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
+# for capability 9.0).
+HEAD_WARPS = 8
+HEADS = {
+    "linear": (color_heads.LINEAR.value, color_heads.linear_backward_kernel),
+    "harmonic": (color_heads.HARMONIC.value, color_heads.harmonic_backward_kernel),
+    "mlp": (color_heads.MLP.value, color_heads.mlp_backward_kernel),
+}
+
+# -- tables: code, pieces, size, rank and layout as kernels/gpu/tables.py reads them -----------------------------------
+
+
+class GpuPlanes:
+    """Planes and lines of fields/vm.py."""
+
+    code, pieces = VM.value, 3
+
+    def __init__(self, size: np.ndarray, rank: int, device: torch.device) -> None:
+        self.size, self.rank, self.length = [int(s) for s in size], rank, table_length(size, rank)
+        self.layout = torch.zeros(1, dtype=torch.int32, device=device)  # not read, but kernels need a pointer
+        self.width = width_of(rank)
+
+    def smooth(self, values: Tensor, strength: float, to: Tensor, count: int = 0) -> None:
+        """Add the gradient of strength/2 times the mean squared difference of texels to `to` [length or more].
+
+        count: over which the mean is taken; 0: the length.
+        """
+        begin, strength = 0, strength / (count or self.length)
+        for a, b in ((1, 2), (2, 0), (0, 1)):
+            rows, columns = self.size[a], self.size[b]
+            given = values, to, strength, rows, columns, begin
+            over(vm.smoothness_kernel, rows * columns, SAMPLES, *given, RANK=self.rank, WIDTH=self.width)
+            begin += rows * columns
+
+
+class GpuHashLevels:
+    """Levels of fields/hash_grid.py."""
+
+    code, pieces, size = HASH.value, 1, [0, 0, 0]
+
+    def __init__(self, levels: Levels, device: torch.device) -> None:
+        self.rank, self.length = levels.count * levels.width, levels.length
+        self.layout = torch.from_numpy(levels.layout()).to(device)
+        self.width = triton.next_power_of_2(self.rank)
+        self._row, self._cells, self._active = levels.width, levels.cells, levels.active
+        self._firsts = [int(first) for first in levels.firsts]
+        self._direct = [levels.is_direct(level) for level in range(levels.count)]
+
+    def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
+        """See add_smoothness in fields/hash_grid.py; to: [length or more]."""
+        strength = strength / self.length
+        for level in range(self._active):
+            first, end = self._firsts[level : level + 2]
+            if self._direct[level]:
+                vertices = self._cells[level] + 1
+                given = values, to, strength, vertices, int(first)
+                over(hash_levels.smoothness_kernel, vertices**3 * self._row, POINTS, *given, ROW=self._row)
+            else:
+                to[first:end].add_(values[first:end], alpha=strength)
+
+
+class GpuVoxelGrid:
+    """Grid of fields/voxel.py with `row` floats per vertex."""
+
+    code, pieces = VOXEL.value, 1
+
+    def __init__(self, grid: Grid, row: int, device: torch.device) -> None:
+        self.size, self.rank, self.length = [int(s) for s in grid.size], row, grid.rows * row
+        self.layout = torch.from_numpy(grid.links).to(device)
+        self.width = triton.next_power_of_2(row)
+        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # contiguous, unlike argwhere's own
+        places[1:] = np.argwhere(grid.kept)
+        self.places = torch.from_numpy(places).to(device)
+
+    def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
+        """See VoxelDensity.smooth in fields/voxel.py; to: [length or more]."""
+        rows = 64 * len(self.places)
+        given = values, self.layout, self.places, to, strength / self.length, rows, *self.size
+        over(voxel.smoothness_kernel, rows, SAMPLES, *given, ROW=self.rank, WIDTH=self.width)
+
+
+GpuTable = GpuPlanes | GpuHashLevels | GpuVoxelGrid
+TABLES: dict[str, Callable[..., GpuTable]] = {
+    "vm": lambda part, row, device: GpuPlanes(part.size, part.rank, device),
+    "hash": lambda part, row, device: GpuHashLevels(part.levels, device),
+    "voxel": lambda part, row, device: GpuVoxelGrid(part.grid, row, device),
+}
+
+
+class GpuPart:
+    """A part of fields/protocol.py on a GPU. moves: whether there is a kernel for its gradient to positions."""
+
+    moves = False
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        self.values = torch.from_numpy(part.values).to(device, copy=True)
+        self.groups = [group for group in part.groups() if group[0] < group[1]]
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """Add the gradient of `strength` times the part's total variation to `to` [len(values)]."""
+        raise NotImplementedError
+
+
+# -- densities --------------------------------------------------------------------------------------------------------
+
+
+class GpuDensity(GpuPart):
+    """A TableDensity of any kind."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        super().__init__(part, device)
+        self.grid = grid = TABLES[part.kind](part, 1, device)
+        self.code, self.size, self.rank = grid.code, grid.size, grid.rank
+        self.layout, self.width = grid.layout, grid.width
+        table = self.values[:-1]
+        self.table, self.shift = table.half() if half else table, self.values[-1:]
+
+    def sigma(self, points: Tensor) -> Tensor:
+        """Raw density [n] of cube points [n, 3]."""
+        out, n = torch.empty(len(points), device=points.device), len(points)
+        given = self.table, self.layout, self.shift, points, out, n, *self.size
+        over(tables.density_kernel, n, POINTS, *given, DENSITY=self.code, RANK=self.rank, WIDTH=self.width)
+        return out
+
+    def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        s = samples
+        over_samples(
+            tables.density_backward_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total, to,
+            to[-1:], *self.size, DENSITY=self.code, RANK=self.rank, WIDTH=self.width,
+        )  # fmt: skip
+
+    def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
+        raise NotImplementedError
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        self.grid.smooth(self.values, strength, to)
+
+
+class GpuVmDensity(GpuDensity):
+    grid: GpuPlanes
+    moves = True
+
+    def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
+        s = samples
+        given = self.table, s.x, s.sigma, sigma_gradients, s.total, out, *self.size
+        over_samples(deformation.density_position_kernel, s, *given, RANK=self.rank, WIDTH=self.width)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        self.grid.smooth(self.values, strength, to, len(self.values))
+
+
+# -- colors -----------------------------------------------------------------------------------------------------------
+
+
+class GpuColor(GpuPart):
+    """A color part. directions: [rays, 3]; a hash color does not read them."""
+
+    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
+        """Color the samples of at least weight_threshold times their ray's largest weight.
+
+        Returns:
+            [room, 3] in 0..1; -1 in the first channel of all other samples.
+        """
+        raise NotImplementedError
+
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
+        """Add dL/d(values) to `to` [len(values)]."""
+        raise NotImplementedError
+
+    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
+        """Add dL/dx to out [room, 3]."""
+        raise NotImplementedError
+
+
+class GpuEncodedColor(GpuColor):
+    """EncodedColor of fields/encoded_color.py."""
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        super().__init__(part, device)
+        self._read(TABLES[part.features.kind](part.features, part.features.width, device), part.head.kind, part, half)
+
+    def _read(self, grid: GpuTable, head: str, part, half: bool) -> None:
+        self.grid, self.size, self.rank, self.layout = grid, grid.size, grid.rank, grid.layout
+        self.head, self.bands = head, BANDS[part.degree]
+        self.outputs = max(16, triton.next_power_of_2(3 * self.bands))  # columns of a tile of the head's outputs
+        plain = head == "linear" and grid.code == VM.value  # few registers: Triton's own number of warps
+        self._constants = {
+            "ENCODER": grid.code, "PIECES": grid.pieces, "RANK": grid.rank, "WIDTH": width_of(grid.rank),
+            "BANDS": self.bands, "UNITS": HIDDEN if head == "mlp" else self.outputs,
+            "num_warps": 4 if plain else HEAD_WARPS,
+        }  # fmt: skip
+        table, numbers = self.values[: grid.length], self.values[grid.length :]
+        self.table = table.half() if half else table
+        self.numbers = numbers if len(numbers) else self.values  # the harmonic head has none, but needs a pointer
+
+    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
+        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
+        over_samples(
+            color_heads.color_kernel, s, self.table, self.layout, self.numbers, s.x, directions, s.ray_of, s.weights,
+            s.largest, float(weight_threshold), s.total, out, *self.size, HEAD=HEADS[self.head][0], **self._constants,
+        )  # fmt: skip
+        return out
+
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
+        s = samples
+        over_samples(
+            HEADS[self.head][1], s, self.table, self.layout, self.numbers, s.x, directions, s.ray_of, colors,
+            color_gradients, s.total, to, to[len(self.table) :], *self.size, **self._constants,
+        )  # fmt: skip
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        self.grid.smooth(self.values, strength, to)
+
+
+class GpuVmColor(GpuEncodedColor):
+    """VmColor of fields/vm.py: a linear head on vm features."""
+
+    moves = True
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        GpuPart.__init__(self, part, device)
+        self._read(TABLES["vm"](part, 0, device), "linear", part, half)
+
+    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
+        s = samples
+        over_samples(
+            deformation.vm_color_position_kernel, s, self.table, self.numbers, s.x, directions, s.ray_of, colors,
+            color_gradients, s.total, out, *self.size,
+            RANK=self.rank, WIDTH=width_of(self.rank), BANDS=self.bands, OUTPUTS=self.outputs,
+        )  # fmt: skip
+
+
+class GpuHashColor(GpuColor):
+    """HashColor of fields/hash_grid.py."""
+
+    moves = True
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        super().__init__(part, device)
+        self.levels, self.layout = part.levels, torch.from_numpy(part.layout).to(device)
+        self.table = self.values.half() if half else self.values
+
+    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
+        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
+        given = s.x, s.ray_of, s.weights, s.largest, float(weight_threshold), s.total, out
+        over_samples(hash_color.color_kernel, s, self.table, self.layout, *given, LEVELS=self.levels)
+        return out
+
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
+        given = samples.x, colors, color_gradients, samples.total, to
+        over_samples(hash_color.color_backward_kernel, samples, self.layout, *given, LEVELS=self.levels)
+
+    def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
+        given = self.table, self.layout, samples.x, colors, color_gradients, samples.total, out
+        over_samples(deformation.hash_color_position_kernel, samples, *given, LEVELS=self.levels)
+
+    def smooth(self, strength: float, to: Tensor) -> None:
+        """See HashColor.smooth."""
+        to.add_(self.values, alpha=strength / len(self.values))
+
+
+class GpuRegionColor(GpuHashColor):
+    """RegionColor of fields/region_color.py, over a base of any kind; values: the region's own."""
+
+    moves = False
+
+    def __init__(self, part, device: torch.device, half: bool = False) -> None:
+        super().__init__(part.own, device, half)
+        self.base = COLOR_KINDS[part.base.kind](part.base, device, half)
+        self.marked, self.cells = marked_cells(part.marked, device), part.cells
+        self.box = torch.from_numpy(np.array([*part.low, 1 / part.side], np.float32)).to(device)
+
+    def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
+        out = self.base.visible_colors(samples, directions, weight_threshold)
+        self.add_logits(samples, out)
+        return out
+
+    def add_logits(self, samples: GpuSamples, colors: Tensor) -> None:
+        """Add the region's logits to the base's colors [room, 3], in place."""
+        given = self.table, self.layout, self.marked, self.cells, self.box, samples.x, samples.total, colors
+        over_samples(regions.color_kernel, samples, *given, LEVELS=self.levels)
+
+    def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
+        s = samples
+        given = self.layout, self.marked, self.cells, self.box, s.x, colors, color_gradients, s.total, to
+        over_samples(regions.color_backward_kernel, s, *given, LEVELS=self.levels)
+
+
+DENSITY_KINDS: dict[str, type[GpuDensity]] = {"vm": GpuVmDensity, "hash": GpuDensity, "voxel": GpuDensity}
+COLOR_KINDS: dict[str, type[GpuColor]] = {
+    "vm": GpuVmColor,
+    "hash": GpuHashColor,
+    "headed": GpuEncodedColor,
+    "patch": GpuRegionColor,
+}
+
+
+def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
+    """Return cells [s, s, s] bool as the kernels read them: uint8 [s^3]."""
+    return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)

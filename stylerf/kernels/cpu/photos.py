@@ -1,0 +1,111 @@
+"""Kernels on photos: rays of their pixels, resampling, and the cells of space that their masks rule out."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+
+_ONE = np.float32(1)
+_BYTE = np.float32(1.0 / 255.0)
+
+
+@parallel_kernel
+def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, codes, origins, directions, colors):
+    """Fill ray r from pixel pixels[r] (row-major) of view views[r]: rays are never stored.
+
+    Args:
+        intrinsics: [views, 4], fx fy cx cy, pixels.
+        poses: [views, 3, 4], world from camera (OpenCV axes).
+        starts: [views], offset of a view's first byte in bytes_.
+        codes: [views, 256], the color that a byte of a view stands for.
+        colors: [rays, 4], written: rgb and alpha 0..1 (alpha 1 for images of three channels).
+    """
+    for r in prange(len(views)):
+        v = views[r]
+        i = pixels[r] % widths[v]
+        j = pixels[r] // widths[v]
+        x = (np.float32(i) + np.float32(0.5) - intrinsics[v, 2]) / intrinsics[v, 0]
+        y = (np.float32(j) + np.float32(0.5) - intrinsics[v, 3]) / intrinsics[v, 1]
+        norm = _ONE / np.float32(math.sqrt(x * x + y * y + _ONE))
+        for a in range(3):
+            directions[r, a] = (poses[v, a, 0] * x + poses[v, a, 1] * y + poses[v, a, 2]) * norm
+            origins[r, a] = poses[v, a, 3]
+        at = starts[v] + pixels[r] * channels
+        for a in range(3):
+            colors[r, a] = codes[v, bytes_[at + a]]
+        colors[r, 3] = np.float32(bytes_[at + 3]) * _BYTE if channels == 4 else _ONE
+
+
+@inline
+def _cubic(t):
+    """Catmull-Rom weights of the four neighbors at offset t in 0..1 from the second (Keys 1981, a = -1/2)."""
+    return (
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+
+
+@parallel_kernel
+def remapped(pixels, positions):
+    """Sample a picture [h, w, c] float32 at positions [a, b, 2]: [a, b, c], clipped to 0..1.
+
+    Positions are (x, y), pixel centers at halves. Beyond the border the nearest pixel counts.
+    """
+    height, width, channels = pixels.shape
+    out = np.empty((positions.shape[0], positions.shape[1], channels), np.float32)
+    for i in prange(positions.shape[0]):
+        for j in range(positions.shape[1]):
+            x, y = positions[i, j, 0] - np.float32(0.5), positions[i, j, 1] - np.float32(0.5)
+            left, top = int(np.floor(x)), int(np.floor(y))
+            wx, wy = _cubic(x - left), _cubic(y - top)
+            for c in range(channels):
+                total = np.float32(0)
+                for a in range(4):
+                    row = min(max(top - 1 + a, 0), height - 1)
+                    line = np.float32(0)
+                    for b in range(4):
+                        line += np.float32(wx[b]) * pixels[row, min(max(left - 1 + b, 0), width - 1), c]
+                    total += np.float32(wy[a]) * line
+                out[i, j, c] = min(max(total, np.float32(0)), np.float32(1))
+    return out
+
+
+@parallel_kernel
+def count_clear(sums, pose, fx, fy, cx, cy, low, width, cells, radius, threads, seen, clear):
+    """Add 1 to seen[cell] if a cell's ball projects into the picture, to clear[cell] if nothing is marked there.
+
+    Args:
+        sums: [h + 1, w + 1] int32, summed-area table of the picture's marks.
+        pose: [3, 4] float32, world from camera.
+        low, width: [3] float32, the box's lower corner and its cells' sides.
+        radius: of a cell's ball.
+    """
+    height, length = sums.shape[0] - 1, sums.shape[1] - 1
+    for thread in prange(threads):
+        for i in range(thread * cells // threads, (thread + 1) * cells // threads):
+            x = low[0] + (np.float32(i) + np.float32(0.5)) * width[0] - pose[0, 3]
+            for j in range(cells):
+                y = low[1] + (np.float32(j) + np.float32(0.5)) * width[1] - pose[1, 3]
+                for k in range(cells):
+                    z = low[2] + (np.float32(k) + np.float32(0.5)) * width[2] - pose[2, 3]
+                    depth = x * pose[0, 2] + y * pose[1, 2] + z * pose[2, 2]
+                    if depth <= radius:
+                        continue
+                    u = (x * pose[0, 0] + y * pose[1, 0] + z * pose[2, 0]) / depth
+                    v = (x * pose[0, 1] + y * pose[1, 1] + z * pose[2, 1]) / depth
+                    # A ball projects to an ellipse, longer the farther it is from the optical axis; this bounds it.
+                    reach = radius * (np.float32(1) + u * u + v * v) / (depth - radius)
+                    left = math.floor(fx * (u - reach) + cx) - 1
+                    right = math.ceil(fx * (u + reach) + cx) + 1
+                    top = math.floor(fy * (v - reach) + cy) - 1
+                    bottom = math.ceil(fy * (v + reach) + cy) + 1
+                    if left < 0 or top < 0 or right > length or bottom > height:
+                        continue
+                    cell = (i * cells + j) * cells + k
+                    seen[cell] += 1
+                    if sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] == 0:
+                        clear[cell] += 1

@@ -1,0 +1,69 @@
+"""What the launches take in place of long argument lists; as kernels/cpu/ray_samples.py, in tensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+@dataclass
+class GpuRays:
+    """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step: float32 on the device."""
+
+    origins: Tensor
+    directions: Tensor
+    jitter: Tensor
+
+    @staticmethod
+    def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
+        """Copy rays to a device, to be marched from the middle of their first step."""
+        here, ways = (torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions))
+        return GpuRays(here, ways, torch.full((len(origins),), 0.5, device=device))
+
+
+@dataclass
+class GpuSamples:
+    """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
+
+    Attributes:
+        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
+        largest: [rays], each ray's largest weight.
+        total: [1] int64, number of samples.
+        ray_of: [room], each sample's ray.
+    """
+
+    starts: Tensor
+    ends: Tensor
+    counts: Tensor
+    largest: Tensor
+    total: Tensor
+    t: Tensor
+    deltas: Tensor
+    x: Tensor
+    sigma: Tensor
+    weights: Tensor
+    ray_of: Tensor
+
+    @property
+    def room(self) -> int:
+        """Number of samples that fit."""
+        return len(self.t)
+
+
+@dataclass(frozen=True)
+class GpuMarchInputs:
+    """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
+
+    code: int
+    space: Tensor
+    near: float
+    far: float
+    step: float
+    distances: Tensor  # [cells^3] uint8
+    cells: int
+    opaque_background: bool
+    displacement: Tensor | None  # flat [m^3 * 3]
+    vertices: int
+    samples_per_ray: int
+    min_transmittance: float
