@@ -10,6 +10,7 @@ The loss of a step is w (MSE of the references' pixels + MSE of registered pixel
 variation; in the last quarter of the style steps, w (...) + 0.2 style + variation.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -89,7 +90,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         self,
         scene: StyledScene[RefNprSettings],
         extractor: FeatureExtractor,
-        references: dict[int, np.ndarray | None],
+        references: Mapping[int, np.ndarray | None],
         matching_extractor: FeatureExtractor,
         coarse_extractor: FeatureExtractor,
     ) -> None:
