@@ -9,9 +9,8 @@ distance to the nearest occupied cell, in cells (0: occupied); rays skip empty s
 import math
 
 import numpy as np
-from numba import prange
 
-from stylerf.kernels.cpu.compiling import inline, parallel_kernel
+from stylerf.kernels.cpu.compiling import inline
 
 BOX, CONTRACTION, FRUSTUM = 0, 1, 2
 # Raw density 1 is an optical depth of 1 across a hundredth of the unit cube (decision 0002). The GPU's kernels and the
@@ -281,17 +280,3 @@ def march_partition(
             weights[at] = transmittance
             at += 1
         ends[r] = at
-
-
-@parallel_kernel
-def warp_points(space, points, threads, out, jacobians):
-    """Warp free points [n, 3] to the cube: positions to out [n, 3], density jacobians to jacobians [n]."""
-    n = len(points)
-    for thread in prange(threads):
-        q = np.empty(3, np.float32)
-        for p in range(thread * n // threads, (thread + 1) * n // threads):
-            _, jacobian = warp_at(space, points[p, 0], points[p, 1], points[p, 2], _ONE, _ZERO, _ZERO, q)
-            out[p, 0] = q[0]
-            out[p, 1] = q[1]
-            out[p, 2] = q[2]
-            jacobians[p] = jacobian

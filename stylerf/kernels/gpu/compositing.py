@@ -8,16 +8,22 @@ from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 AROUND = tl.constexpr(0.05)  # as on the CPU
 
 
+@triton.jit
+def rays_of_program(starts, ends, rays, BLOCK: tl.constexpr):
+    """(rays, which of them exist, their first samples, how many samples they have)."""
+    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
+    valid = r < rays
+    first = tl.load(starts + r, mask=valid, other=0)
+    return r, valid, first, tl.load(ends + r, mask=valid, other=0) - first
+
+
 @triton.jit(do_not_specialize=["rays"])
 def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w c (3), sum w, sum w t); samples without a color (colors[k, 0] < 0) take the others' mean.
 
     The opaque background (delta 0) is left out of sum w t.
     """
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    first = tl.load(starts + r, mask=valid, other=0)
-    count = tl.load(ends + r, mask=valid, other=0) - first
+    r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     red, green, blue, depth, total, colored = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
@@ -46,10 +52,7 @@ def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK:
 @triton.jit(do_not_specialize=["rays"])
 def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    first = tl.load(starts + r, mask=valid, other=0)
-    count = tl.load(ends + r, mask=valid, other=0) - first
+    r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
     total, passed, at, near, depth = zero, zero, zero, zero, zero
@@ -80,10 +83,7 @@ def composite_backward_kernel(
 
     near_scaling_distance: gradients of nearer samples are scaled by (t / distance)^2 (scale_near_gradients); 0: none.
     """
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    first = tl.load(starts + r, mask=valid, other=0)
-    count = tl.load(ends + r, mask=valid, other=0) - first
+    r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     at = offset(r, 5, 0)
     g0 = tl.load(gradients + at, mask=valid, other=0.0)
     g1 = tl.load(gradients + at + 1, mask=valid, other=0.0)
@@ -136,9 +136,7 @@ def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients,
     scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that found no room (they teach nothing
     and count for nothing).
     """
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    held = tl.load(ends + r, mask=valid, other=0) - tl.load(starts + r, mask=valid, other=0)
+    r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
     lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
     own = valid & (lost == 0)
     alpha = tl.load(out + offset(r, 5, 3), mask=own, other=0.0)
@@ -170,9 +168,7 @@ def tuning_loss_kernel(
 
     sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
     """
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    held = tl.load(ends + r, mask=valid, other=0) - tl.load(starts + r, mask=valid, other=0)
+    r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
     lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
     own = valid & (lost == 0)
     inside = r < edited

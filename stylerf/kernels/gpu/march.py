@@ -9,7 +9,7 @@ import triton
 import triton.language as tl
 
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
-from stylerf.kernels.gpu.indexing import SIZES, cell, offset, store_vector, trilinear_corner, vector
+from stylerf.kernels.gpu.indexing import SIZES, cell, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.tables import raw_density
 
 SCALE = tl.constexpr(float(OPTICAL_SCALE))
@@ -248,21 +248,3 @@ def march_kernel(
         _fill_up(t_out, deltas, points, sigma, weights, ray_of, begin, found, most, r)
     else:
         tl.store(counts + r, found, mask=valid)
-
-
-@triton.jit(do_not_specialize=["count"])
-def warp_kernel(space, world, out, jacobians, count, KIND: tl.constexpr, BLOCK: tl.constexpr):
-    """Positions in the cube and density jacobians of free points [count, 3]."""
-    k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
-    valid = k < count
-    px, py, pz = vector(world, k, valid)
-    x, y, z, _speed, jacobian = warp_at(KIND, space, px, py, pz, 1.0 + 0.0 * px, 0.0 * px, 0.0 * px)
-    store_vector(out, k, x, y, z, valid)
-    tl.store(jacobians + k, jacobian, mask=valid)
-
-
-@triton.jit(do_not_specialize=["width", "column"])
-def offsets_kernel(rows, out, width, column, BLOCK: tl.constexpr):
-    """out[i] = offset(rows[i], width, column): for the test of what lies beyond 2^31."""
-    i = tl.arange(0, BLOCK)
-    tl.store(out + i, offset(tl.load(rows + i), width, column))

@@ -7,6 +7,7 @@ box: float32 [4], the lowest corner of the cells' box and one over its side: whe
 import triton
 import triton.language as tl
 
+from stylerf.kernels.gpu.compositing import rays_of_program
 from stylerf.kernels.gpu.hash_color import lane_gradients, level_scatter, level_sum, logit
 from stylerf.kernels.gpu.indexing import offset, vector
 from stylerf.kernels.gpu.march import cell_number, clamped
@@ -36,10 +37,7 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
 @triton.jit(do_not_specialize=["cells", "rays"])
 def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6], zero for a ray without samples."""
-    r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    valid = r < rays
-    first = tl.load(starts + r, mask=valid, other=0)
-    count = tl.load(ends + r, mask=valid, other=0) - first
+    r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     whole, inside, depth, at_x, at_y, at_z = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):

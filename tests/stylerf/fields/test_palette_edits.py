@@ -136,9 +136,7 @@ def test_an_edit_falls_off_around_its_place():
     found = recolored(weights, zeros, ones, torch.zeros(3, 3), PALETTE, (edit,), x)
     shares = np.exp([0.0, -1.0, -4.0])[:, None]
     np.testing.assert_allclose(found, shares * np.array(blue) + (1 - shares) * PALETTE[0].numpy(), atol=1e-5)
-    everywhere = recolored(
-        weights, zeros, ones, torch.zeros(3, 3), PALETTE, (Recoloring(PaletteEdits({0: blue})),), x
-    )
+    everywhere = recolored(weights, zeros, ones, torch.zeros(3, 3), PALETTE, (Recoloring(PaletteEdits({0: blue})),), x)
     np.testing.assert_allclose(everywhere, np.tile(blue, (3, 1)), atol=1e-5)
 
 

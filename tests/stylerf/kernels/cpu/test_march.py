@@ -8,9 +8,10 @@ from stylerf.fields.marching import MarchInputs, displacement_arrays, occupancy_
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.vm import VmDensity
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.kernels.cpu.march import OPTICAL_SCALE, warp_points
+from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays
 from tests.stylerf.kernels import torch_reference
+from tests.stylerf.kernels.cpu.warping import warp_points
 from tests.stylerf.small import (
     SPACES,
     Packed,

@@ -75,9 +75,7 @@ def everything() -> None:
 def local_edits(rendered, bank) -> None:
     """What learning an edit and fine-tuning launch beside the field's own kernels."""
     launch.ends_inside(torch.zeros(CELLS**3, dtype=torch.uint8), CELLS, rendered.samples)
-    launch.tuning_loss(
-        rendered.out, torch.zeros(8, 4), torch.zeros(3), rendered.samples, 1.0, 0.1, 0.1, torch.zeros(5)
-    )
+    launch.tuning_loss(rendered.out, torch.zeros(8, 4), torch.zeros(3), rendered.samples, 1.0, 0.1, 0.1, torch.zeros(5))
     bank.at(torch.zeros(16, dtype=torch.int64), torch.zeros(16))
     module = GpuPaletteModule(start_module([view_of(0)], EditSettings(), 0), "cpu")
     to = torch.zeros_like(module.table)

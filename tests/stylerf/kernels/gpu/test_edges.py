@@ -142,7 +142,7 @@ def test_leaps_reach_every_occupied_cell_that_the_cpu_reaches(kind, device):
 
 
 def test_offsets_beyond_two_to_the_thirty_first(device):
-    from stylerf.kernels.gpu.march import offsets_kernel
+    from tests.stylerf.kernels.gpu.offsets import offsets_kernel
 
     rows = torch.tensor([0, 715_827_882, 715_827_883, 2**31 - 1], dtype=torch.int32, device=device)
     out = torch.empty(4, dtype=torch.int64, device=device)
