@@ -105,7 +105,7 @@ def _heat_maps(panels: dict[str, list[dict]], across: int) -> str:
     from types import SimpleNamespace
 
     from stages.configs.faults import FAULTS
-    from stages.stress.heat_map import draw_cells
+    from stages.stress.page import draw_cells
 
     order = list(FAULTS)
     columns = min(across, len(panels))

@@ -147,8 +147,7 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     """A fit of one capacity that does not grow, as `stylerf fit` sets it up."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.photos import bank_of
-    from stages.artifacts.scene import load_scene
-    from stages.artifacts.scene_space import space_of
+    from stages.artifacts.scene import load_scene, space_of
     from stages.configs.fit import FitConfig
     from stages.nerf_fit import _settings
     from stages.run.progress import Context, Silent

@@ -50,7 +50,6 @@ class Artifact:
     Only files listed in the manifest belong to it, and they are never reached through a symbolic link.
 
     Args:
-        path: The artifact's folder.
         name: The artifact's name if the folder, not yet moved into place, has another one.
     """
 

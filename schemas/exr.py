@@ -18,8 +18,7 @@ from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
 from schemas.json_numbers import LARGEST_SIDE
 from schemas.native_output import native_output_silenced
-from schemas.read_limit import check_allowance
-from schemas.safe_reading import opened
+from schemas.safe_reading import check_allowance, opened
 
 # Depth where alpha is 0: compositors sort by Z, so a 0 would put empty pixels in front of everything.
 FAR_Z = 1e10
@@ -167,7 +166,7 @@ def read_channels(path: Path | str, required: tuple[str, ...]) -> tuple[dict[str
     Raises:
         BadInput: The file is missing, not an EXR, damaged, deep, multi-part or multi-resolution; lacks a `required`
             channel; has subsampled channels, or a data window other than its display window.
-        OutOfResources: It would need more memory than allowed (see schemas.read_limit).
+        OutOfResources: It would need more memory than allowed (see schemas.safe_reading).
     """
     path = Path(path)
     try:

@@ -13,8 +13,7 @@ from tokenize import TokenError
 import numpy as np
 
 from schemas.errors import BadInput
-from schemas.read_limit import allowance, check_allowance
-from schemas.safe_reading import opened, read_bytes
+from schemas.safe_reading import allowance, check_allowance, opened, read_bytes
 
 FLOW_SUFFIXES = (".flo", ".npy")
 _TAG = b"PIEH"

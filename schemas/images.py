@@ -16,8 +16,7 @@ import OpenImageIO as oiio
 from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
 from schemas.native_output import native_output_silenced
-from schemas.read_limit import allowance, check_allowance
-from schemas.safe_reading import opened
+from schemas.safe_reading import allowance, check_allowance, opened
 
 # Uncompressed. A header that claims more is damaged or hostile.
 LARGEST_IMAGE_MB = 2048
@@ -126,7 +125,7 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     Raises:
         BadInput: The file is missing, of an unknown format, truncated, damaged, larger than LARGEST_IMAGE_MB, or holds
             NaN or infinity.
-        OutOfResources: It would need more memory than allowed (see schemas.read_limit).
+        OutOfResources: It would need more memory than allowed (see schemas.safe_reading).
     """
     path = Path(path)
     with _opened(path) as source:
@@ -292,7 +291,6 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
     """Write a PNG atomically; equal pixels give equal bytes.
 
     Args:
-        path: The file to replace.
         array: uint8 or uint16 [height, width] or [height, width, 1, 3 or 4], straight alpha.
 
     Raises:

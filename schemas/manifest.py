@@ -13,9 +13,8 @@ from typing import Any
 
 from schemas.canonical_json import digest_of, plain
 from schemas.errors import ArtifactDamaged
-from schemas.flag_text import flags
 from schemas.migrations import CURRENT, Json, migrated
-from schemas.safe_names import file_name, relative_path
+from schemas.safe_names import file_name, flags, relative_path
 from schemas.safe_reading import parsed, read_bytes
 
 MANIFEST = "manifest.json"

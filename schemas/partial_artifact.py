@@ -51,10 +51,6 @@ class PartialArtifact:
     An interrupted run of another recipe is deleted.
 
     Args:
-        root: The work folder.
-        kind: Kind of the artifact.
-        name: Name of the artifact.
-        recipe: What is made.
         protect: Keep an interrupted run of EXPENSIVE_SECONDS or more and raise UnlikeInterrupted if other options
             would resume it; if none can, delete it and describe it in `lost`.
         rebuild: Resume only a run that was started with `rebuild` too.

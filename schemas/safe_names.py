@@ -1,8 +1,9 @@
-"""Checks of names and paths from untrusted files, before anything is opened, written or displayed by them."""
+"""Checks of names and paths from untrusted files before anything is opened or written, and text fit for display."""
 
 import os
 import re
 import unicodedata
+from typing import Any
 
 from schemas.errors import ArtifactDamaged, StylerfError
 
@@ -20,9 +21,7 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
     Symbolic links are not checked here; see schemas.artifact.
 
     Args:
-        text: The path.
         what: Names the path in messages.
-        fault: The class of the error.
 
     Raises:
         fault: The path is absolute, too long for file systems, or holds `.`, `..`, empty parts, control or
@@ -78,3 +77,10 @@ def _hidden(letter: str) -> bool:
 
 def _escaped(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
+
+
+def flags(flag: str, value: Any) -> list[str]:
+    """Return the words that set an option, such as --steps 30, --no-masks or --layers a b."""
+    if isinstance(value, bool):
+        return [flag if value else f"--no-{flag[2:]}"]
+    return [flag, *map(str, value if isinstance(value, list | tuple) else [value])]

@@ -1,17 +1,42 @@
-"""Reads untrusted files: regular files only, and up to a limit."""
+"""Reads untrusted files: regular files only, up to a limit, in the memory that may be used (--memory)."""
 
 import json
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from schemas.atomic_write import out_of_resources
-from schemas.errors import BadInput, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, OutOfResources, StylerfError
 from schemas.open_flags import NONBLOCK
 from schemas.safe_names import printable
+
+LEAST = 256 << 20  # bytes, always allowed: a photo of 22 megapixels in RGB
+_DEFAULT = 4 << 30  # bytes, until set_allowance is called, as when stylerf is used as a library
+_find: Callable[[], int] | None = None
+
+
+def set_allowance(find: Callable[[], int] | None) -> None:
+    """Set the limit. find: returns the bytes that may still be allocated, called for each large file; None: default."""
+    global _find  # noqa: PLW0603 - memory belongs to the process, so its bound does too
+    _find = find
+
+
+def allowance() -> int:
+    """Return the bytes that decoding one file may allocate."""
+    return max(LEAST, _DEFAULT if _find is None else _find())
+
+
+def check_allowance(path: Path, width: int, height: int, takes: int) -> None:
+    """Raise OutOfResources if a picture of this size, `takes` bytes when decoded, exceeds the limit."""
+    if takes > (most := allowance()):
+        raise OutOfResources(
+            f"{path} is {width}x{height} pixels, which take {takes / 1e9:.1f} GB of memory; {most / 1e9:.1f} GB may be "
+            "used; shrink it or raise --memory"
+        )
+
 
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
 
@@ -86,3 +111,20 @@ def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
 def _kind(mode: int) -> str:
     kinds = {stat.S_IFIFO: "a named pipe", stat.S_IFDIR: "a folder", stat.S_IFSOCK: "a socket"}
     return kinds.get(stat.S_IFMT(mode), "a device")
+
+
+# What a constructor raises where its arguments are not what it takes; InvalidValue is a ValueError.
+UNSOUND = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
+
+
+@contextmanager
+def sound(path: Path, what: str) -> Iterator[None]:
+    """ArtifactDamaged, naming the path, where what is made of a file's numbers within refuses them.
+
+    what: is made of them, with its article.
+    """
+    try:
+        yield
+    except UNSOUND as error:
+        why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ArtifactDamaged(f"{path} does not hold {what} ({why}); rebuild it") from error

@@ -5,6 +5,7 @@ The source scene is in another work folder, so the options hold its path and dig
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,7 @@ from schemas.images import to_uint8, write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.scene import SceneData, load_scene
-from stages.configs.corrupt_scene import CorruptSceneConfig
-from stages.configs.faults import FAULTS, MADE
+from stages.configs.faults import FAULTS, MADE, CorruptSceneConfig
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.corruption import capture, photos
@@ -103,13 +103,17 @@ def _view(shot: Shot, image: str) -> View:
 def _still_life(config: CorruptSceneConfig, seed: int) -> Capture:
     life = HardStillLife(config.fault, seed)
     shots = [
-        Shot(camera, split, lambda camera=camera: life.render(camera).rgba, f"still life: {config.fault}")
+        Shot(camera, split, partial(_rendered, life, camera), f"still life: {config.fault}")
         for split, count, turn in (("train", config.views, seed), ("test", config.tests, seed + 1000))
         for camera in dome_cameras(count, config.side, split, turn)
     ]
     near, far = depths_of_box([shot.camera for shot in shots], np.array(STILL_LIFE_BOX))
     bounds = Bounds(STILL_LIFE_BOX, float(near), float(far))
     return Capture(shots, "object", "by construction", bounds, "alpha", np.eye(4), {})
+
+
+def _rendered(life: HardStillLife, camera: Camera) -> np.ndarray:
+    return life.render(camera).rgba
 
 
 def _corrupted(config: CorruptSceneConfig, generator: np.random.Generator) -> Capture:
@@ -147,8 +151,8 @@ def _source(config: CorruptSceneConfig) -> SceneData:
 
 def _few(tests: list[int], count: int) -> list[int]:
     """Return at most `count` of the test views, evenly spread."""
-    places = np.unique(np.linspace(0, len(tests) - 1, min(count, len(tests))).round().astype(int)) if tests else []
-    return [tests[i] for i in places]
+    places = np.linspace(0, len(tests) - 1, min(count, len(tests))).round().astype(int)
+    return [tests[i] for i in np.unique(places)]
 
 
 def _chosen(

@@ -9,15 +9,12 @@ from stages.artifacts.edit import save_palette
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.scene import load_scene
-from stages.artifacts.validity import sound
 from stages.configs.decompose import DecomposeConfig
-from stages.configs.fit import budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.memory import available_bytes
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
-from stages.stylization.settings import finest_cells, same_named
+from stages.run.training_loop import resumed
+from stages.stylization.settings import finest_cells, same_named, train
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
@@ -61,16 +58,16 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     trainer = StylizationTrainer(method)
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with compiling_note(context.progress.say):
-        _train(trainer, config, partial, context)
+        train(trainer, "the decomposition", config, partial, context, {"refit": "new colors", "style": "palette"})
         figures = method.figures()
     state, decomposed = trainer.state, trainer.scene.field
     save_field(partial.path, decomposed, background)
     color, totals = decomposed.color, {key: figures[key] for key in ("sparsity", "palette_variation")}
+    if not isinstance(color, PaletteColor):
+        raise TypeError(f"a decomposition has palette colors, not {color.kind}")
     save_palette(partial.path, color.palette, color.palette, figures["shares"], totals)
     return {
         **figures,
@@ -96,20 +93,3 @@ def weights_of(config: DecomposeConfig) -> DecompositionWeights:
     """Weights of the parts of the loss."""
     names = ("sparsity", "offset", "view", "smooth", "guide", "drift")
     return DecompositionWeights(**{name: getattr(config, f"{name}_weight") for name in names})
-
-
-def _train(trainer: StylizationTrainer, config: DecomposeConfig, partial: PartialArtifact, context: Context) -> None:
-    shown = ""
-    seconds, _ = budget_of(config.budget)
-
-    def report(now: StylizationTrainer) -> None:
-        nonlocal shown
-        state, total = now.state, now.scene.budget.steps
-        if state.phase != shown:
-            shown = state.phase
-            label = {"refit": "new colors", "style": "palette"}[shown]
-            context.progress.start(label, total or seconds, "step" if total else "s")
-        note = f"squared error {state.curve[-1]['mse']:.4f}" if state.curve else ""
-        context.progress.update(state.step if total else min(state.seconds, now.settings.seconds), note)
-
-    run_training(trainer, "the decomposition", config.checkpoint_every_seconds, partial, context, report)

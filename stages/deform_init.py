@@ -8,15 +8,14 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field, save_deformation, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.scene import load_scene, spread
-from stages.artifacts.validity import sound
 from stages.configs.deform import DeformConfig
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.errors import InvalidValue
 from stylerf.fields.deformation import Deformation
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
@@ -54,9 +53,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
             fitter = DeformationFitter(field, deformation, bank, settings, *more)
         except InvalidValue as error:
             raise BadInput(f"{inputs['field'].path}: {error}") from error
-        if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-            with sound(partial.checkpoint, "a sound checkpoint"):
-                fitter.resume(*saved)
+        if resumed(fitter, partial, context):
             context.progress.say(f"resuming at step {fitter.state.step}")
         _train(fitter, config, partial, context)
     if fitter.dropped:
@@ -72,11 +69,18 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         "psnr_before": round(state.before, 3),
         "psnr_after": round(state.before if fitter.dropped else state.best, 3),
         "dropped": fitter.dropped,
-        "displacement_rms": float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean())),
+        "displacement_rms": _rms(field),
         "parameters": field.parameters + len(deformation.values),
         **gpu_figures(device),
         **scene.exposure_figures,
     }
+
+
+def _rms(field: RadianceField) -> float:
+    """Root mean square of the displacement, in cubes two units wide."""
+    if field.displacement is None:
+        return 0.0
+    return float(np.sqrt(np.square(2 * field.displacement).sum(-1).mean()))
 
 
 def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArtifact, context: Context) -> None:

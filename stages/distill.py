@@ -10,11 +10,10 @@ from schemas.errors import ArtifactDamaged, BadInput
 from schemas.images import to_uint8, write_png
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit import load_edit
-from stages.artifacts.edit_views import load_edit_views
+from stages.artifacts.edit import load_edit, load_edit_views
+from stages.artifacts.photos import load_pictures
 from stages.artifacts.scene import EARLIER, EDIT_TARGETS, SceneData, edit_targets
-from stages.artifacts.view_images import load_pictures
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec

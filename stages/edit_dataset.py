@@ -8,16 +8,16 @@ from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import linear_from_srgb
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit_views import save_edit_views
+from stages.artifacts.edit import save_edit_views
 from stages.artifacts.field import load_field
-from stages.artifacts.region import load_region
-from stages.artifacts.view_images import load_pictures
-from stages.configs.extract import ExtractConfig
+from stages.artifacts.photos import load_pictures
+from stages.artifacts.region import region_of_field
+from stages.configs.edit import ExtractConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_grid import Region
-from stylerf.editing.extraction import Extraction, Seen, seen_of_view
+from stylerf.editing.extraction import EditView, Extraction, Seen, seen_of_view
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
@@ -33,13 +33,8 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
     threads = set_threads(context.threads)
     scene = load_pictures(inputs["scene"], inputs["field"], threads)
     field, _ = load_field(inputs["field"])
-    region, space = load_region(inputs["region"])
-    if space != field.space:
-        raise BadInput(
-            f"region {inputs['region'].name} was selected on a different field than {inputs['field'].name}; "
-            f"select it again with `stylerf select --of {inputs['field'].name}`"
-        )
-    size = _size(region, space)
+    region = region_of_field(inputs["region"], inputs["field"], field)
+    size = _size(region, field.space)
     reach = FADING * size if config.transition < 0 else config.transition
     settings = Extraction(config.tolerance, reach)
     train = scene.splits["train"]
@@ -56,7 +51,7 @@ def run(inputs: dict[str, Artifact], config: ExtractConfig, partial: PartialArti
             else:
                 views.append(seen.edit)
                 if config.exr:
-                    write_exr(partial.path / "exr" / f"{camera.name}.exr", _exr(seen, camera, field))
+                    write_exr(partial.path / "exr" / f"{camera.name}.exr", _exr(seen, seen.edit, camera, field))
             context.progress.update(done + 1)
     context.progress.finish()
     if not views:
@@ -81,9 +76,8 @@ def _size(region: Region, space: SpaceWarp) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def _exr(seen: Seen, camera: Camera, field: RadianceField) -> ExrView:
+def _exr(seen: Seen, edit: EditView, camera: Camera, field: RadianceField) -> ExrView:
     """The photo within the region, by the field's alpha; masks: region, transition, edges."""
-    edit = seen.edit
     full = {name: np.zeros(seen.alpha.size, np.float32) for name in ("alpha", "transition", "below", "beside")}
     rgb = np.zeros((seen.alpha.size, 3), np.float32)
     rgb[edit.pixels] = linear_from_srgb(edit.target) * edit.weight[:, None]

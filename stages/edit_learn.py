@@ -11,17 +11,14 @@ import torch
 from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.artifacts.edit import Edit, save_edit
-from stages.artifacts.edit_views import load_edit_views
+from stages.artifacts.edit import Edit, load_edit_views, save_edit
 from stages.artifacts.style_images import read_painting
-from stages.artifacts.validity import sound
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed, run_training
 from stages.weights.resolve import digests_of_files, resolve
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import EditWeights
@@ -47,10 +44,8 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        style_image, extractor = (
-            cropped(config),
-            FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu"),
-        )
+        style_image = cropped(config)
+        extractor = FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
         if config.match and not config.preserve_color:
             views = in_style_colors(views, style_image, context.seed)
@@ -61,9 +56,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
         trainer = EditTrainer(views, module, settings, style_image, extractor, *more)
     except InvalidValue as error:
         raise BadInput(f"{inputs['edit-dataset'].path}: {error}") from error
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(trainer, shown, config, partial, context)
@@ -73,8 +66,13 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     write_png(partial.path / "preview.png", drawn(trainer, shown, threads))
     if style_image is not None:
         write_png(partial.path / "style.png", to_uint8(style_image.permute(1, 2, 0).numpy()))
-    more = {"features": features, "views": len(views), "curve_edit": trainer.state.curve}
-    return {**figures, **more, **gpu_figures(device)}
+    return {
+        **figures,
+        "features": features,
+        "views": len(views),
+        "curve_edit": trainer.state.curve,
+        **gpu_figures(device),
+    }
 
 
 def settings_of(config: EditConfig) -> EditSettings:

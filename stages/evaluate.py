@@ -7,21 +7,25 @@ renders were the references). For a local edit also `unedited_frames` and `base_
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
+from schemas.canonical_json import file_sha256
+from schemas.images import read_image
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import fields_behind, is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.metrics import Metric, Row, is_number, summarize, write_csv
-from stages.evaluation.path_consistency import PathConsistency
-from stages.evaluation.perceptual_metrics import PerceptualMetrics
-from stages.evaluation.pinned_inputs import digests_of_files
-from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness
+from stages.evaluation.path_consistency import PathConsistency, flows_digest
+from stages.evaluation.perceptual_metrics import PerceptualMetrics, available_networks, style_file
+from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness, references_digest
+from stages.evaluation.region_masks import masks_digest
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import (
     ViewRow,
@@ -34,12 +38,37 @@ from stages.evaluation.view_metrics import (
     nonfinite_message,
 )
 from stages.report.charts import evaluation_charts
-from stages.report.contact_sheet import ContactSheet, chosen_views
+from stages.report.contact_sheet import ContactSheet, Picture, chosen_views
 from stages.report.evaluation_page import build_page
 from stages.report.notes import Inputs, not_measured, warnings_of
-from stages.report.thumbnails import Picture
 from stages.run.progress import Context
 from stages.run.runner import Spec, versions
+
+
+def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateConfig:
+    """Add the digests of the files it names and of the available networks, so that a change of them is noticed.
+
+    field: may name a style image too. Raises BadInput if a file is missing, or an image cannot be read.
+    """
+    style = style_file(config, None)
+    if style is not None:
+        read_image(style)
+    styled = style_file(config, field) is not None
+    networks = available_networks(config.perceptual != "none", styled, config.features)
+    digests: dict[str, Any] = digests_of_files(config)
+    return replace(config, **digests, networks=networks)
+
+
+def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
+    """Current digests of the files that options name; empty for options that name none."""
+    style = style_file(config, None)
+    return {
+        "style_digest": "" if style is None else file_sha256(style),
+        "masks_digest": masks_digest(Path(config.masks).expanduser()) if config.masks else "",
+        "flow_digest": flows_digest(Path(config.flow).expanduser()) if config.flow else "",
+        "reference_digest": references_digest(config.reference) if config.reference else "",
+    }
+
 
 SPEC = Spec(stage="evaluate", verb="eval", revision=6, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
@@ -49,7 +78,8 @@ def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArt
     """Write report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; return the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
-    task.measure_path()
+    if task.path is not None:
+        task.path.measure(context.progress)
     report, metrics = task.report()
     charts = evaluation_charts(
         task.stylized, task.rows, task.pairs, report["curve"], config.gap, task.perceptual.style_label
@@ -120,8 +150,8 @@ class Evaluation:
             if self.stylized:
                 self._measure_stylized(row, render, photo)
                 self._measure_by_reference(row, done - 1, render)
-            else:
-                self._measure_fitted(row, render, photo)
+            elif photo is not None:
+                measure_fit(row, render, photo, self.perceptual.scores(render.alpha.shape))
             if self.edit is not None:
                 self.edit.measure(row, render, photo)
             if previous is not None:
@@ -142,10 +172,6 @@ class Evaluation:
         self.resized += photo.resized
         self.depth_sizes_differ |= photo.depth_size_differs
         return photo
-
-    def _measure_fitted(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
-        if photo is not None:
-            measure_fit(row, render, photo, self.perceptual.scores(render.alpha.shape))
 
     def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
@@ -182,13 +208,7 @@ class Evaluation:
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
-        index = self.base.index_of(render.scene_view) if self.base is not None else None
-        return None if index is None else self.base.render(index)
-
-    def measure_path(self) -> None:
-        """Measure the consistency of frames 1 and `gap` apart into `pairs`."""
-        if self.path is not None:
-            self.path.measure(self.context.progress)
+        return None if self.base is None else self.base.same_view(render)
 
     def facts(self) -> dict:
         """What fills in labels and protocols."""
@@ -229,12 +249,12 @@ class Evaluation:
             "style_image": self.perceptual.style_name,
             "view_count": len(self.rows),
             "resolution": " and ".join(f"{width}x{height}" for width, height in sorted(self._sizes)),
-            "metrics": [metric.as_json() for metric in metrics],
+            "metrics": [asdict(metric) for metric in metrics],
             "views": self.rows,
             "pairs": self.pairs,
             "edit": self.edit.as_json() if self.edit else None,
             "training_views": self.training_rows,
-            "stages": [made.as_json() for made in stages],
+            "stages": [asdict(made) for made in stages],
             "curve": training_curve(self.field),
             "warnings": [
                 *warnings_of(self.rows, self.pairs, stages, self.unmatched, self.resized),
@@ -280,9 +300,9 @@ class Evaluation:
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)
-            known = render.name not in self.unmatched
             size = (render.camera.width, render.camera.height)
-            photo = self.scene.photo(render.scene_view, *size) if known else None
+            matched = render.scene_view if render.name not in self.unmatched else None
+            photo = None if matched is None else self.scene.photo(matched, *size)
             heading = f"{render.name} ({word})" if word else render.name
             base = self.edit.unedited_render(render) if self.edit else self._base_of(render) if self.stylized else None
             sheet.add(heading, self.rows[index], render, photo, base)

@@ -12,21 +12,20 @@ from stages.artifacts.field import load_field, save_field
 from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
-from stages.artifacts.validity import sound
-from stages.configs.finetune import FinetuneConfig
+from stages.configs.edit import FinetuneConfig
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.fields.packed_surface import PackedSurface, pixel_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import finetune_engine, style_backend
-from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
+from stylerf.training.finetune.engine import FineTuneSettings
+from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight from which a sample counts as seen
@@ -66,12 +65,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
     )
     bank = bank_of(scene, train, partial.folder, context)
     tuner = FineTuner(field, bank, edited, settings, context.seed, threads, context.processes, finetune_engine(device))
-    saved = context.processes.checkpoint(
-        load_checkpoint(partial.checkpoint, context.progress.say) if context.processes.first else None
-    )
-    if saved is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            tuner.resume(*saved)
+    if resumed(tuner, partial, context):
         context.progress.say(f"resuming at step {tuner.state.step}")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(tuner, config, partial, context)
@@ -113,7 +107,10 @@ def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPi
     targets = edit_targets(scene)
     if not targets:
         raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
-    views, pixels, depths, beside = [], [], [], []
+    views: list[np.ndarray] = []
+    pixels: list[np.ndarray] = []
+    depths: list[np.ndarray] = []
+    beside: list[np.ndarray] = []
     edits = ("", EARLIER) if earlier else ("",)
     for place, index in enumerate(train):
         parts = [targets[index, part] for part in edits if (index, part) in targets]

@@ -8,17 +8,14 @@ from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
-from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, spread
-from stages.artifacts.scene_space import space_of
-from stages.artifacts.validity import sound
+from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
 from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine
@@ -67,10 +64,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
-    saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
-    if saved is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            fitter.resume(*saved)
+    if resumed(fitter, partial, context):
         context.progress.say(f"resuming at step {fitter.state.step}, {fitter.state.seconds:.0f} s into the fit")
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
@@ -136,15 +130,13 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
 
     def tell(now: Fitter) -> None:
         if now.state.step % 10 == 0:
-            note = _quality(now.state.curve[-1]) if now.state.curve else ""
+            last, note = now.state.curve[-1] if now.state.curve else {}, ""
+            if last:
+                note = f"{last['psnr']:.1f} dB {'held out' if last['held_out'] else 'on training views'}"
             done = now.state.step if steps else min(now.state.seconds, now.settings.seconds)
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
     run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, tell)
-
-
-def _quality(point: dict) -> str:
-    return f"{point['psnr']:.1f} dB {'held out' if point['held_out'] else 'on training views'}"
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
@@ -16,10 +17,10 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import ImportConfig
 from stages.readers import found_in, read_source
 from stages.readers.background import Background
-from stages.readers.digest import digest_of_source
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
-from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks
+from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
+from stages.readers.transforms import lists_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.sfm.reconstruction import reconstructed
@@ -28,6 +29,41 @@ from stylerf.geometry import scene_normalization
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.resampling import nearest
 from stylerf.geometry.silhouette_bounds import hull_box
+
+
+def digest_of_source(source: Path, format: str = "auto", images: str = "") -> str:
+    """SHA-256 of the files with poses and of every photo, its mask and its known depth, each by its name in the source.
+    Other files do not count. BadInput if the source cannot be read.
+    """
+    kind = found_in(source, format).kind
+    if kind == "photos":
+        photos = photos_of(source, images)
+        plain = [SourceCamera(one.stem, path_in_source(one, source), one, np.eye(4)) for one in photos]
+        cameras = with_masks(plain, source)
+        others = [one.name for one in unreadable_beside(photos)]
+        return digest_of([kind, others, [_entry(one) for one in cameras]])
+    scene = read_source(source, format, images)
+    poses = [[path.name, _content(path)] for path in scene.files or _files_of_poses(source, kind)]
+    return digest_of([kind, poses, [_entry(one) for one in scene.cameras]])
+
+
+def _files_of_poses(source: Path, kind: str) -> list[Path]:
+    if kind == "transforms":
+        return [path for path, _ in lists_of(source)]
+    return [source if source.is_file() else source / "poses_bounds.npy"]
+
+
+def _entry(camera: SourceCamera) -> list:
+    files = [camera.image, camera.mask, camera.depth, *filter(None, [camera.hides])]
+    return [camera.source, *(one and _content(one) for one in files)]
+
+
+def _content(path: Path) -> str:
+    try:
+        return file_sha256(path)
+    except OSError as error:
+        raise BadInput(f"{path} cannot be read ({error.strerror}); restore it or its permissions") from error
+
 
 SPEC = Spec(
     stage="pose_import", verb="import", revision=6, writes="scene",
@@ -59,9 +95,7 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
         if others := unreadable_beside(photos):
             kinds = sorted({one.suffix for one in others})
             how = conversion(others[0].parent, kinds[0])
-            context.progress.say(
-                f"{len(others)} more photos cannot be read ({', '.join(kinds)}); {how}"
-            )
+            context.progress.say(f"{len(others)} more photos cannot be read ({', '.join(kinds)}); {how}")
         scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,
@@ -140,7 +174,7 @@ def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], l
     """Split off the repeated cameras of a photo: lists merged by hand name some photos twice."""
     first: dict[Path, SourceCamera] = {}
     for one in cameras:
-        first.setdefault(one.image.resolve(), one)
+        first.setdefault(one.photo.resolve(), one)
     kept = list(first.values())
     return kept, [one for one in cameras if one not in kept]
 
@@ -157,7 +191,7 @@ def _told_apart(cameras: list[SourceCamera]) -> list[SourceCamera]:
         BadInput: That leaves two views with one name.
     """
     names = Counter(one.name for one in cameras)
-    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.image.suffix) for one in cameras]
+    apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.photo.suffix) for one in cameras]
     first: dict[str, SourceCamera] = {}
     for one in apart:
         if (other := first.setdefault(one.name, one)) is not one:
@@ -216,7 +250,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
         replace(camera, world_from_camera=scene_normalization.moved(one.pose, similarity))
         for one, camera in zip(photos, plain, strict=True)
     ]
-    return Frame(layout, similarity, cameras, [one.camera.split for one in photos])
+    return Frame(layout, similarity, cameras, [one.split for one in photos])
 
 
 def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
@@ -232,7 +266,8 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
     else:
         box = _object_box(frame, backdrop)
         near, far = scene_normalization.depths_of_box(frame.cameras, box)
-    return Bounds(tuple(tuple(float(value) for value in corner) for corner in box), float(near), float(far))
+    (x0, y0, z0), (x1, y1, z1) = np.asarray(box, float).tolist()
+    return Bounds(((x0, y0, z0), (x1, y1, z1)), float(near), float(far))
 
 
 def _object_box(frame: Frame, backdrop: Background) -> np.ndarray:
@@ -293,7 +328,7 @@ def _image(index: int) -> str:
 
 def _view(index: int, one: Sized, camera: Camera) -> View:
     return View(
-        name=camera.name, image=_image(index), split=one.camera.split, width=camera.width, height=camera.height,
+        name=camera.name, image=_image(index), split=one.split, width=camera.width, height=camera.height,
         fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy,
         world_from_camera=as_matrix(camera.world_from_camera), source=one.camera.source,
     )  # fmt: skip

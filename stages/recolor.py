@@ -66,6 +66,7 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, threa
         x, alpha = ends_of_rays(field, camera, pixel, threads)
         if alpha[0] < SEEN:
             raise BadInput(f"--at {text} shows nothing of the field; give a pixel of an object")
-        centers.append(tuple(float(v) for v in field.space.unwarp(x)[0]))
+        across, down, along = field.space.unwarp(x)[0].tolist()
+        centers.append((across, down, along))
         reaches.append(REACH * float(np.linalg.norm(np.array(centers[-1]) - camera.center)))
     return SpaceFilter(field.space, tuple(centers), config.reach or float(np.mean(reaches)))

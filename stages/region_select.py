@@ -13,10 +13,9 @@ from schemas.errors import BadInput
 from schemas.images import coverage, read_image, to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_field
-from stages.artifacts.photos import level_of, photo_for, photo_over
+from stages.artifacts.photos import level_of, load_pictures, photo_for, photo_over
 from stages.artifacts.region import load_region, save_region
 from stages.artifacts.scene import SceneData, view_index
-from stages.artifacts.view_images import load_pictures
 from stages.configs.select import SelectConfig
 from stages.configs.views import depth_of, file_of, pixel_of
 from stages.run.progress import Context

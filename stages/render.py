@@ -21,7 +21,7 @@ from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
 from stages.artifacts.field import load_field
-from stages.artifacts.region_masks import CHANNEL, channels_of, regions_among
+from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
@@ -152,8 +152,9 @@ def _focus_depth(scene: SceneData) -> float:
 
 
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
-    name = camera.name
-    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", _camera_entry(camera), view)
+    name, pose = camera.name, as_matrix(camera.world_from_camera)
+    entry = FrameCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, pose)
+    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", entry, view)
 
 
 def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
@@ -219,12 +220,6 @@ def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes:
         far=bounds.far,
         masks={channels[name]: mask for name, mask in rendered.masks.items()},
         attributes=dict(attributes),
-    )
-
-
-def _camera_entry(camera: Camera) -> FrameCamera:
-    return FrameCamera(
-        camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, as_matrix(camera.world_from_camera)
     )
 
 

@@ -10,20 +10,16 @@ from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
 from stages.artifacts.photos import level_of, photo_for
-from stages.artifacts.references import chosen_view, decoded_reference, digest_of, read_references
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
-from stages.artifacts.style_images import read_painting
-from stages.artifacts.validity import sound
-from stages.configs.fit import budget_of
+from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_painting, read_references
 from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
-from stages.run.checkpoints import load_checkpoint
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
-from stages.run.training_loop import run_training
+from stages.run.training_loop import resumed
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,
@@ -31,6 +27,7 @@ from stages.stylization.settings import (
     reference_layers,
     region_color,
     settings_of,
+    train,
 )
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
@@ -59,7 +56,6 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
 SPEC = Spec(stage="stylize", verb="stylize", revision=8, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
-PHASE_LABELS = {"refit": "new colors"}
 
 
 def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -84,13 +80,11 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         name = config.style or config.references[0]
         raise BadInput(f"{name} on {inputs['field'].path}: {error}") from error
     trainer = StylizationTrainer(method)
-    if (saved := load_checkpoint(partial.checkpoint, context.progress.say)) is not None:
-        with sound(partial.checkpoint, "a sound checkpoint"):
-            trainer.resume(*saved)
+    if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):
-            _train(trainer, config, partial, context)
+            train(trainer, "the stylization", config, partial, context, {"refit": "new colors"})
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     stylized, state = trainer.scene.field, trainer.state
@@ -104,7 +98,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         "steps": state.step,
         "train_seconds": round(state.seconds, 2),
         "curve_style": state.curve,
-        "finest": _trained_color(stylized).finest,
+        "finest": _finest(stylized.color),
         "parameters": stylized.parameters,
         "features": resolved.manifest(),
         "views": len(problem.cameras),
@@ -115,8 +109,10 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     }
 
 
-def _trained_color(field: RadianceField) -> HashColor:
-    return field.color.own if isinstance(field.color, RegionColor) else field.color
+def _finest(color: ColorPart) -> int | None:
+    """Cells per side of the finest level of the trained colors."""
+    own = color.own if isinstance(color, RegionColor) else color
+    return own.finest if isinstance(own, HashColor) else None
 
 
 def _problem(
@@ -180,7 +176,7 @@ def _method(
         view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)
         context.progress.say(f"making view {problem.cameras[view].name} the reference")
         references = {view: None}
-        if config.reference_by == "adain":
+        if config.reference_by == "adain" and problem.style_image is not None:
             photo = problem.photos[view]
             references[view] = decoded_reference(photo, problem.style_image, config.style_scale, device or "cpu")
     matching = extractor(reference_layers(config, resolved.state))
@@ -196,6 +192,8 @@ def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneD
         return {}
     by, references = "file" if config.reference else config.reference_by or "nnfm", []
     for place, image in method.references.items():
+        if image is None:
+            continue
         index = scene.splits["train"][place]
         file = f"reference-{index}.png"
         write_png(partial.path / file, to_uint8(image))
@@ -213,22 +211,3 @@ def _memory_for_views(scene: SceneData, views: list[int], context: Context) -> f
             "left: views that do not fit are recomputed at each use"
         )
     return left
-
-
-def _train(trainer: StylizationTrainer, config: StylizeConfig, partial: PartialArtifact, context: Context) -> None:
-    shown = ""
-
-    def report(now: StylizationTrainer) -> None:
-        nonlocal shown
-        state, total = now.state, now.scene.budget.steps
-        if state.phase != shown:
-            shown = state.phase
-            seconds, _ = budget_of(config.budget)
-            context.progress.start(PHASE_LABELS.get(shown, shown), total or seconds, "step" if total else "s")
-        note = ""
-        if state.curve:
-            last = state.curve[-1]
-            note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
-        context.progress.update(state.step if total else min(state.seconds, now.settings.seconds), note)
-
-    run_training(trainer, "the stylization", config.checkpoint_every_seconds, partial, context, report)

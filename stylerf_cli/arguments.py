@@ -74,8 +74,6 @@ def add_config(parser: Parser, config: type, everything: bool = True) -> None:
     """Add a flag for each option of a config dataclass; only those given appear in the namespace.
 
     Args:
-        parser: receives the flags.
-        config: the dataclass.
         everything: show advanced options in the help too, under their groups.
     """
     groups: dict[str, argparse._ActionsContainer] = {"": parser}
@@ -169,7 +167,6 @@ def build_config(
     """Build the config of a verb from flags and a TOML table.
 
     Args:
-        config: the dataclass.
         given: flags, which override the table.
         table: options from the file.
         where: names the table in errors.

@@ -105,14 +105,12 @@ def parser_of(verb: str, module: ModuleType, config: type | None, everything: bo
     """Return the parser of a verb.
 
     Args:
-        verb: its name.
-        module: its module.
         config: the dataclass of its options, None without any.
         everything: whether the help lists advanced options too.
     """
     parser = Parser(
         prog=f"stylerf {verb}",
-        description=f"{module.HELP[0].upper()}{module.HELP[1:]}.",
+        description=f"{VERBS[verb][1][0].upper()}{VERBS[verb][1][1:]}.",
         epilog=EXIT_CODES if everything else f"{HELP_ALL} lists all options and the exit codes.",
     )
     parser.add_argument(HELP_ALL, action="help", help="show all options and exit")
@@ -137,8 +135,7 @@ def _parsed(parser: Parser, argv: list[str]) -> Namespace | None:
 
 def _run_verb(verb: str, module: ModuleType, args: Namespace, config: type | None) -> dict[str, Any]:
     # Imported late: --help and usage errors need neither.
-    from stylerf_cli.options import Options
-    from stylerf_cli.session import Session
+    from stylerf_cli.session import Options, Session
 
     if args.name is not None and hasattr(module, "NAMELESS"):
         raise UsageError(f"--name: {module.NAMELESS}; leave it out")

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from schemas.canonical_json import plain
 from schemas.safe_names import printable
@@ -87,3 +87,20 @@ def write_fault(text: str) -> None:
 def print_json(value: Any) -> None:
     """Print one JSON object and a newline on stdout, in ASCII; NaN and infinity become strings."""
     write_out(json.dumps(plain(value), allow_nan=False) + "\n")
+
+
+if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
+    from schemas.work_folder import Artifact
+
+
+def palette_lines(made: "Artifact", kind: str = "edit") -> list[str]:
+    """Return one line per palette color, after a heading and before the path."""
+    from stages.artifacts.edit import told_colors
+
+    colors = told_colors(made)
+    lines = [
+        f"  {one['index']}  {one['now']}  {one['share']:6.1%}  {one['name']}"
+        + (f" (was {one['learned']})" if one["now"] != one["learned"] else "")
+        for one in colors
+    ]
+    return [f"{kind} {made.name}: a palette of {len(colors)} colors", *lines, f"  {made.path}"]

@@ -56,9 +56,9 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
     elif isinstance(content, list) or "views" in keys:
         found = _ours(content if isinstance(content, list) else content["views"], scene.cameras[0], where)
     else:
-        found = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
+        what = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
         raise BadInput(
-            f"{where} is {found}; a list of cameras was expected, each with world_from_camera, or an object with "
+            f"{where} is {what}; a list of cameras was expected, each with world_from_camera, or an object with "
             "`views` (frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
         )
     if not found.cameras:

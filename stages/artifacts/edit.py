@@ -1,4 +1,4 @@
-"""Reads and writes edit artifacts: edit.json, edit.safetensors for the module, palette.json, palette.png to be read."""
+"""Reads and writes what a local edit is learned from (edit-dataset) and what is learned (edit)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +8,13 @@ import numpy as np
 from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged
 from schemas.images import to_uint8, write_png
+from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
+from schemas.safe_reading import sound
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
-from stages.artifacts.validity import sound
 from stages.configs.edit import PaletteConfig, color_of, number_of
 from stylerf import validation
+from stylerf.editing.extraction import EditView, check_pixels
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_edits import PaletteEdits, tinted
@@ -111,8 +113,11 @@ def told_after(artifact: Artifact, changes: PaletteEdits) -> dict:
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
     """Changes counted as palette.json counts colors, as the module counts them."""
-    named = (changes.colors, changes.scales, changes.biases)
-    return PaletteEdits(*({columns[index]: value for index, value in one.items()} for one in named))
+    return PaletteEdits(
+        {columns[index]: color for index, color in changes.colors.items()},
+        {columns[index]: scale for index, scale in changes.scales.items()},
+        {columns[index]: bias for index, bias in changes.biases.items()},
+    )
 
 
 def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
@@ -155,3 +160,44 @@ def _name(color: np.ndarray) -> str:
     hue = float(np.degrees(np.arctan2(b, a))) % 360
     word = hues[int(np.searchsorted(begins, hue, side="right")) - 1]
     return f"{'dark ' if light < 35 else 'light ' if light > 78 else ''}{word}"
+
+
+DATASET, DATASET_NUMBERS = "dataset.json", "dataset.safetensors"
+ARRAYS = ("pixels", "x", "along", "directions", "target", "weight", "inside", "depth", "through", "transition", "edges")
+
+WIDE = {"x": 3, "along": 3, "directions": 3, "target": 3, "edges": 2}  # numbers a pixel, where there are several
+
+
+def save_edit_views(folder: Path, views: list[EditView], details: dict) -> None:
+    """Write the views. details: further keys of dataset.json, such as the views that do not see the region."""
+    arrays = {f"{v.view}.{name}": getattr(v, name) for v in views for name in ARRAYS}
+    save_tensors(folder / DATASET_NUMBERS, arrays)
+    listed = [{"view": v.view, "width": v.width, "height": v.height, "pixels": len(v)} for v in views]
+    write_json(folder / DATASET, {**details, "views": listed})
+
+
+def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
+    """The views and what dataset.json says; ArtifactDamaged where the two files do not belong together."""
+    artifact.check_sizes()
+    arrays, _ = artifact.tensors(DATASET_NUMBERS)
+    data = artifact.json(DATASET)
+    with sound(artifact.path, "a sound edit dataset"):
+        views = [_view(item, arrays) for item in validation.entry(data, "views", list)]
+        if not views or len({one.view for one in views}) < len(views):
+            raise InvalidValue("there are no views, or one is repeated")
+        return views, data
+
+
+def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
+    view = validation.integer(item, "view", 0, 10**9)
+    width, height = (validation.integer(item, side, 1, LARGEST_SIDE) for side in ("width", "height"))
+    if width * height > LARGEST_PICTURE:
+        raise InvalidValue(f"view {view} has {width}x{height} pixels; at most {LARGEST_PICTURE} can be")
+    count = validation.integer(item, "pixels", 1, width * height)
+    pixels = validation.array(arrays, f"{view}.pixels", np.int64, (count,))
+    check_pixels(pixels, f"{view}.pixels", width, height)
+    if not (np.diff(pixels) > 0).all():
+        raise InvalidValue(f"the array {view}.pixels is not in ascending order")
+    shapes = {name: (count, WIDE[name]) if name in WIDE else (count,) for name in ARRAYS[1:]}
+    own = {name: validation.array(arrays, f"{view}.{name}", np.float32, shape) for name, shape in shapes.items()}
+    return EditView(view, width, height, pixels, **own)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from schemas.atomic_write import write_json
+from schemas.safe_reading import sound
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
-from stages.artifacts.validity import sound
 from stylerf import validation
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField

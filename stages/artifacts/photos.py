@@ -1,15 +1,19 @@
-"""A scene's photos for training: in memory if they fit, otherwise memory-mapped from an unnamed file."""
+"""A scene's photos for training and editing, in memory if they fit, otherwise memory-mapped from an unnamed file."""
 
 import mmap
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic_write import TEMPORARY_SUFFIX, writing
-from stages.artifacts.scene import SceneData
+from schemas.work_folder import Artifact
+from stages.artifacts.field import load_field
+from stages.artifacts.provenance import shows_its_pictures
+from stages.artifacts.scene import SceneData, load_scene
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
@@ -34,7 +38,8 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     left = max(available_bytes(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, LEAST_BYTES)
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
-        _fill(lambda at, photo: pixels.values.__setitem__(slice(at, at + len(photo)), photo), scene, views, channels)
+        for at, photo in _photos(scene, views, channels):
+            pixels.values[at : at + len(photo)] = photo
         return RayDataset(cameras, pixels)
     context.progress.say(
         f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory left beside training: "
@@ -43,14 +48,14 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     return RayDataset(cameras, _on_disk(scene, views, channels, size, left, folder))
 
 
-def _fill(put: Callable[[int, np.ndarray], None], scene: SceneData, views: list[int], channels: int) -> None:
-    """Call put(offset, bytes) for every view in turn."""
+def _photos(scene: SceneData, views: list[int], channels: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the offset and the bytes of every view's photo."""
     at = 0
     for index in views:
         photo = (scene.images(index) * 255 + 0.5).astype(np.uint8)
         if photo.shape[2] < channels:
             photo = np.dstack([photo, np.full(photo.shape[:2], 255, np.uint8)])
-        put(at, photo.reshape(-1))
+        yield at, photo.reshape(-1)
         at += photo.size
 
 
@@ -62,7 +67,8 @@ def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most:
     with writing(folder), tempfile.TemporaryFile(dir=folder, prefix=".photos.", suffix=TEMPORARY_SUFFIX) as file:
         if hasattr(os, "posix_fallocate"):  # reports a full disk here; on macOS writing does
             os.posix_fallocate(file.fileno(), 0, size)
-        _fill(lambda at, photo: file.write(photo.data), scene, views, channels)
+        for _, photo in _photos(scene, views, channels):
+            file.write(photo.data)
         file.flush()
         mapped = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ)
     if not hasattr(mapped, "madvise"):  # Windows takes pages back as it sees fit
@@ -104,3 +110,20 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
 def level_of(background: str) -> float:
     """Return the gray level of a background."""
     return 1.0 if background == "white" else 0.0
+
+
+def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
+    """The scene as an edit of field `of` sees it: the looks of a stylized or recolored one are in no photo."""
+    scene = load_scene(artifact, of)
+    if shows_its_pictures(of):
+        return scene
+    field, background = load_field(of)
+
+    def retaken(index: int) -> np.ndarray:
+        seen = render_view(field, scene.cameras[index], threads=chunks)
+        alpha = seen.alpha[..., None]
+        if scene.channels(index) == 4:
+            return np.concatenate([(seen.rgb / np.maximum(alpha, 1e-6)).clip(0, 1), alpha], axis=2)
+        return (seen.rgb + (1 - alpha) * np.float32(level_of(background))).clip(0, 1)
+
+    return replace(scene, retaken=retaken)

@@ -1,7 +1,7 @@
 """What an artifact cost: every stage upstream of it with its seconds, memory, size and parameters."""
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from schemas.errors import ArtifactStale, StylerfError
 from schemas.work_folder import Artifact, WorkFolder, sources_of
@@ -21,10 +21,6 @@ class Made:
     device: str
     created: str
     remark: str
-
-    def as_json(self) -> dict:
-        """Plain numbers and text."""
-        return asdict(self)
 
 
 def fields_behind(field: Artifact) -> list[Artifact]:
@@ -111,7 +107,8 @@ def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], s
             changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artifact.name}"
             _walk(source, changed, found, seen)
         except StylerfError as error:
-            found[ref.kind, ref.name] = _absent(ref.kind, ref.name, str(error))
+            why = f"cannot be read: {error}"
+            found[ref.kind, ref.name] = Made(ref.kind, ref.name, "", None, None, None, None, "", "", why)
     found[key] = Made(
         kind=manifest.kind,
         name=artifact.name,
@@ -124,10 +121,6 @@ def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], s
         created=manifest.created,
         remark=remark,
     )
-
-
-def _absent(kind: str, name: str, reason: str) -> Made:
-    return Made(kind, name, "", None, None, None, None, "", "", f"cannot be read: {reason}")
 
 
 def counted(value: object) -> int | None:

@@ -1,14 +1,18 @@
-"""Reads and writes region artifacts: region.json holds the selection's options, region.safetensors the cells."""
+"""Reads and writes region artifacts; regions that a field's frames show as masks, and their EXR channels."""
 
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from schemas.atomic_write import write_json
 from schemas.errors import BadInput
+from schemas.safe_reading import sound
 from schemas.tensors import save_tensors
-from schemas.work_folder import Artifact
-from stages.artifacts.validity import sound
+from schemas.work_folder import Artifact, WorkFolder
+from stages.artifacts.field import DESCRIPTION as FIELD_DESCRIPTION
 from stylerf import validation
 from stylerf.editing.edit_grid import Region
 from stylerf.fields.radiance_field import RadianceField
@@ -47,3 +51,61 @@ def load_region(artifact: Artifact) -> tuple[Region, SpaceWarp]:
         cells = validation.integer(data, "cells", 1, 1024)
         region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))
         return region, SpaceWarp.restore(validation.entry(data, "space"))
+
+
+ROLE = "region."
+CHANNEL = "mask."
+
+
+@dataclass(frozen=True, eq=False)
+class Marked:
+    """The edited cells E [s, s, s] of a region artifact, and that artifact's digest."""
+
+    cells: np.ndarray
+    digest: str
+
+
+def regions_fitting(work: WorkFolder, field: Artifact) -> tuple[dict[str, Artifact], list[str]]:
+    """The regions of a work folder that divide the field's own space, by role; the names of all others."""
+    regions = work.artifacts("region")
+    if not regions:
+        return {}, []
+    space = _space(field, FIELD_DESCRIPTION)
+    fitting = {ROLE + one.name: one for one in regions if _space(one, DESCRIPTION) == space}
+    return fitting, [one.name for one in regions if ROLE + one.name not in fitting]
+
+
+def regions_among(inputs: Mapping[str, Artifact], space: SpaceWarp) -> dict[str, Marked]:
+    """The regions among a stage's inputs, by name; BadInput where one divides another space than the field's."""
+    found = {}
+    for artifact in (one for role, one in inputs.items() if role.startswith(ROLE)):
+        region, own = load_region(artifact)
+        if own != space:
+            raise BadInput(
+                f"region {artifact.name} was selected on a different field; select it again: stylerf select "
+                f"{artifact.path.parent.parent}"
+            )
+        found[artifact.name] = Marked(region.edit, artifact.digest)
+    return found
+
+
+def channels_of(names: Iterable[str]) -> dict[str, str]:
+    """What follows `mask.` in the channel of each region: its name in letters, digits and `_`, not begun by a digit.
+
+    A dot in it would be a layer below the layer, and `+` and `-` are sums in a compositor's expressions. Regions that
+    would share a channel are numbered; one whose name is a channel's already keeps it.
+    """
+    channels: dict[str, str] = {}
+    written = {name: re.sub(r"^(?=\d)|[^A-Za-z0-9_]", "_", name) for name in names}
+    for name in sorted(written, key=lambda one: (one != written[one], one)):
+        channel, number = written[name], 2
+        while channel in channels.values():
+            channel, number = f"{written[name]}_{number}", number + 1
+        channels[name] = channel
+    return channels
+
+
+def _space(artifact: Artifact, description: str) -> SpaceWarp:
+    data = artifact.json(description)
+    with sound(artifact.path / description, "a sound space"):
+        return SpaceWarp.restore(validation.entry(data, "space"))

@@ -1,7 +1,7 @@
 """Read report artifacts: the parts of report.json that other code uses."""
 
+from schemas.safe_reading import sound
 from schemas.work_folder import Artifact
-from stages.artifacts.validity import sound
 from stylerf import validation
 
 DESCRIPTION = "report.json"

@@ -1,12 +1,26 @@
-"""Reads pictures whose colors count: paintings that a scene or a region is stylized with, references, styles."""
+"""Reads style images and references (Ref-NPR): stylized views, from files or made of a photo at once."""
 
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from schemas.canonical_json import file_sha256
 from schemas.errors import BadInput
 from schemas.images import read_srgb
+from stages.artifacts.scene import SceneData, view_index
+from stages.configs.stylize import RefNprConfig
+from stages.configs.views import file_of
+from stages.weights.resolve import resolve, resolve_decoder
+from stylerf.editing.edit_grid import Region
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.ray_registration import best_reference, few_points
+from stylerf.style.feature_extractor import FeatureExtractor, resized, style_picture
+from stylerf.style.image_stylization import Decoder, adain_picture
 
 
 def read_colors(path: Path) -> np.ndarray:
@@ -25,3 +39,88 @@ def read_painting(path: Path) -> torch.Tensor:
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
         )
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
+
+
+LIKE = 0.01  # most that a picture's aspect ratio may differ from its view's: a pixel of a small picture
+
+
+def digest_of(references: Sequence[str]) -> str:
+    """Of the views and files of VIEW=FILE texts, in their order; BadInput where one is missing or no picture."""
+    total = hashlib.sha256()
+    for text in references:
+        view, path = file_of(text)
+        if not path.is_file():
+            raise BadInput(f"--reference {text}: there is no such image")
+        read_painting(path)
+        total.update(f"{view}={file_sha256(path)}\n".encode())
+    return total.hexdigest() if references else ""
+
+
+def training_view(scene: SceneData, name: str, flag: str) -> int:
+    """Place among the training views of a view by its name, or by its number in the scene."""
+    index, train = view_index(scene, name, flag), scene.splits["train"]
+    if index not in train:
+        raise BadInput(f"{flag}: view {name} is held out for evaluation; give a training view")
+    return train.index(index)
+
+
+def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray | None]:
+    """By place among the training views: its stylized picture, [h, w, 3] sRGB 0..1, of the view's size."""
+    found: dict[int, np.ndarray | None] = {}
+    for text in references:
+        name, file = file_of(text)
+        place = training_view(scene, name, f"--reference {text}")
+        camera = scene.cameras[scene.splits["train"][place]]
+        picture = read_painting(file)
+        height, width = picture.shape[1:]
+        if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
+            raise BadInput(
+                f"{file} is {width}x{height} where view {name} is {camera.width}x{camera.height}; a reference shows "
+                "the same picture: give one of the same proportions"
+            )
+        if place in found:
+            raise BadInput(f"--reference {text}: view {name} has a reference already")
+        found[place] = resized(picture, camera.height, camera.width).permute(1, 2, 0).contiguous().numpy()
+    return found
+
+
+def chosen_view(
+    scene: SceneData,
+    field: RadianceField,
+    cameras: list[Camera],
+    config: RefNprConfig,
+    weight_threshold: float,
+    threads: int,
+    region: Region | None = None,
+) -> int:
+    """Place among the training views of the one to make a reference: --reference-view, or the best seen by all.
+
+    region: what is to be seen, rather than the scene.
+    """
+    if config.reference_view:
+        return training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
+    seen = few_points(field, cameras, weight_threshold, threads)
+    if region is not None:
+        seen = [replace(one, there=one.there & region.holds(one.places)) for one in seen]
+    return best_reference(seen)
+
+
+def check_references(scene: SceneData, config: RefNprConfig) -> None:
+    """BadInput or UsageError for whatever of the options cannot be, before any long work."""
+    read_references(scene, config.reference)
+    if config.reference_view:
+        training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
+    if config.reference_by == "adain":
+        resolve_decoder()
+        resolve("vgg19-wct")
+
+
+def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, device: str) -> np.ndarray:
+    """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
+    decoder, found = resolve_decoder(), resolve("vgg19-wct")
+    trunk = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
+    there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
+    height, width = photo.shape[:2]
+    picture = style_picture(painting, height, width, scale).to(device)
+    made = adain_picture(trunk, Decoder(decoder.state).to(device), there, picture)
+    return made.permute(1, 2, 0).contiguous().cpu().numpy()

@@ -1,5 +1,6 @@
 """Pareto fronts of runs, and metrics that cannot be compared because their protocols differ."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,8 +24,9 @@ class Panel:
     fronts: list[Front]
 
     def at(self, run: Run) -> tuple[float, float]:
-        """Cost and metric of a run."""
-        return float(run.costs[self.cost]), run.metrics[self.key].mean
+        """Cost (NaN if unknown) and metric of a run."""
+        cost = run.costs[self.cost]
+        return math.nan if cost is None else float(cost), run.metrics[self.key].mean
 
 
 def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
@@ -37,11 +39,11 @@ def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
     for run in having:
         if not why_excluded(run, key):
             comparable.setdefault((run.group, run.metrics[key].comparable_by), []).append(run)
-    fronts = []
+    panel = Panel(key, cost, first.label, first.unit, first.better, having, [])
     for members in comparable.values() if first.better else ():
-        costs, means = [float(run.costs[cost]) for run in members], [run.metrics[key].mean for run in members]
-        fronts.append([members[i] for i in pareto_front(costs, means, first.better == "higher")])
-    return Panel(key, cost, first.label, first.unit, first.better, having, fronts)
+        costs, means = zip(*map(panel.at, members), strict=True)
+        panel.fronts.append([members[i] for i in pareto_front(costs, means, first.better == "higher")])
+    return panel
 
 
 def on_fronts(runs: Sequence[Run], keys: Sequence[str]) -> dict[str, list[str]]:

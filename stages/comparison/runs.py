@@ -93,7 +93,10 @@ class Gap:
 
 def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
     """Every fit, stylization and edit of these work folders, in the order given, and what is missing."""
-    runs, groups, gaps, scenes = [], [], [], {}
+    runs: list[Run] = []
+    groups: list[Group] = []
+    gaps: list[Gap] = []
+    scenes: dict[str, str] = {}
     for work, label in zip(works, _labels(works)):
         for artifact in work.artifacts("field"):
             try:
@@ -267,7 +270,7 @@ def _file_name(path: str) -> str:
 
 def _group_names(groups: Sequence[Group]) -> list[str]:
     """A unique name per group: that of its first run, with part of its digest if another group has the same name."""
-    first = {}
+    first: dict[tuple, str] = {}
     for group in groups:
         first.setdefault(group.digests, group.name)
     uses = Counter(first.values())

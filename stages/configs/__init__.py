@@ -3,7 +3,7 @@
 from dataclasses import MISSING, Field, field, fields
 from typing import Any
 
-from schemas.flag_text import flags
+from schemas.safe_names import flags
 
 
 def option(
@@ -36,6 +36,11 @@ def option(
     """
     metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "incidental": incidental}
     return field(default=default, metadata=metadata | {"digest": digest, "advanced": advanced, "group": group})
+
+
+def advanced(default: Any, group: str = "", **others: Any) -> Any:
+    """Declare an option, as `option` does, that only `--help-all` lists, under the heading `group`."""
+    return option(default, advanced=True, group=group, **others)
 
 
 def options_of(config: Any) -> "list[Field[Any]]":

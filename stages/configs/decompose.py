@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.edit import PaletteConfig
 from stages.configs.fit import budget_of
 from stages.configs.views import pixel_of
@@ -22,31 +22,21 @@ class DecomposeConfig:
     budget: str = option("2m", help="time (60s, 2m) or number of the palette's steps")
     rate: float = option(1e-2, help="learning rate, falling to a tenth (hash table: three times it)")
     sparsity_weight: float = option(2e-3, help="weight against mixing several palette colors (PaletteNeRF: 2e-4)")
-    refit_steps: int = option(
-        300, help="steps that first fit the direct color to the photos", advanced=True, group=STEPS
+    refit_steps: int = advanced(300, STEPS, help="steps that first fit the direct color to the photos")
+    pixels: int = advanced(2048, STEPS, help="pixels per step")
+    offset_weight: float = advanced(0.03, LOSS, help="weight of the squared offsets from palette colors")
+    view_weight: float = advanced(0.1, LOSS, help="weight of the squared view-dependent color")
+    smooth_weight: float = advanced(
+        4e-3, LOSS, help="weight of differences between mixes at near points of similar color"
     )
-    pixels: int = option(2048, help="pixels per step", advanced=True, group=STEPS)
-    offset_weight: float = option(
-        0.03, help="weight of the squared offsets from palette colors", advanced=True, group=LOSS
+    guide_weight: float = advanced(
+        0.05, LOSS, help="weight of the mixes given by the palette's convex hull, at the beginning"
     )
-    view_weight: float = option(0.1, help="weight of the squared view-dependent color", advanced=True, group=LOSS)
-    smooth_weight: float = option(
-        4e-3, help="weight of differences between mixes at near points of similar color", advanced=True, group=LOSS
-    )
-    guide_weight: float = option(
-        0.05, help="weight of the mixes given by the palette's convex hull, at the beginning", advanced=True, group=LOSS
-    )
-    drift_weight: float = option(
-        1e-3, help="weight of the palette's distance from the extracted one", advanced=True, group=LOSS
-    )
-    levels: int = option(8, help="levels of the hash grid", advanced=True, group=GRID)
-    finest: int = option(
-        0, help="cells per side of its finest level (0: a little finer than a pixel)", advanced=True, group=GRID
-    )
-    table_bits: int = option(17, help="log2 of its table entries per level", advanced=True, group=GRID)
-    checkpoint_every_seconds: float = option(
-        20.0, help="time between checkpoints", incidental=True, advanced=True, group=STEPS
-    )
+    drift_weight: float = advanced(1e-3, LOSS, help="weight of the palette's distance from the extracted one")
+    levels: int = advanced(8, GRID, help="levels of the hash grid")
+    finest: int = advanced(0, GRID, help="cells per side of its finest level (0: a little finer than a pixel)")
+    table_bits: int = advanced(17, GRID, help="log2 of its table entries per level")
+    checkpoint_every_seconds: float = advanced(20.0, STEPS, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         budget_of(self.budget)
@@ -73,9 +63,11 @@ class RecolorConfig(PaletteConfig):
         0.0, help="distance at which the change has fallen to 1/e, scene units (0: a tenth of the camera's distance)"
     )
     filter: str = option(
-        "", choices=("", "none", "space"), metavar="none|space",
+        "",
+        choices=("", "none", "space"),
+        metavar="none|space",
         help="where the change applies: everywhere, or around --at (default: around --at if given)",
-    )  # fmt: skip
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

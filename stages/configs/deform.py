@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stages.configs import option
+from stages.configs import advanced, option
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class DeformConfig:
     gate: float = option(
         0.0, help="dB that held-out training views must gain, or the deformation is dropped (0: no check)"
     )
-    vertices: int = option(32, help="vertices per side of the displacement grid", advanced=True, group="network")
-    width: int = option(256, help="width of the network's two hidden layers", advanced=True, group="network")
-    frequencies: int = option(5, help="octaves of the positional encoding", advanced=True, group="network")
-    checkpoint_every_seconds: float = option(20.0, help="time between checkpoints", incidental=True, advanced=True)
+    vertices: int = advanced(32, "network", help="vertices per side of the displacement grid")
+    width: int = advanced(256, "network", help="width of the network's two hidden layers")
+    frequencies: int = advanced(5, "network", help="octaves of the positional encoding")
+    checkpoint_every_seconds: float = advanced(20.0, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         if self.gate < 0:

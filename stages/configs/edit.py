@@ -1,10 +1,25 @@
-"""Options of `stylerf stylize --region`, palette changes apart."""
+"""Options of a local edit: extract, learning a look (stylize --region), distill, finetune, and all of it (edit)."""
 
 import re
 from dataclasses import dataclass, fields
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.fit import budget_of
+from stages.configs.select import SelectConfig
+
+
+@dataclass(frozen=True)
+class ExtractConfig:
+    """What the training views show of a region, for its edit."""
+
+    tolerance: float = option(0.5, help="opacity that may lie outside the region (LAENeRF: 0.5 to 0.85)")
+    transition: float = option(-1.0, help="width over which an edit fades out, scene units (-1: a 40th of the region)")
+    exr: bool = option(True, help="also write OpenEXR images")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tolerance < 1 or (self.transition < 0 and self.transition != -1):
+            raise ValueError("tolerance must be between 0 and 1, transition at least 0 (or -1)")
+
 
 STYLE_ONLY = (
     "crop", "match", "preserve_color", "style_steps", "style_weight", "style_side", "variation_weight", "edge_weight",
@@ -32,50 +47,28 @@ class EditConfig:
         digest="features_digest",
     )
     features_digest: str = ""  # sha256 of that file
-    match: bool = option(
-        True,
-        help="give the region the style image's colors first (LAENeRF does not)",
-        advanced=True,
-        group=LOSS,
+    match: bool = advanced(True, LOSS, help="give the region the style image's colors first (LAENeRF does not)")
+    layers: str = advanced("conv3", LOSS, help="feature layers whose Gram matrices are matched")
+    style_side: int = advanced(128, LOSS, help="longer side of the image that features are taken from")
+    offset_weight: float = advanced(0.5, LOSS, help="weight of offsets from palette colors")
+    certainty_weight: float = advanced(
+        5e-3, LOSS, help="weight of mixing: the share that is not of a pixel's first color"
     )
-    layers: str = option("conv3", help="feature layers whose Gram matrices are matched", advanced=True, group=LOSS)
-    style_side: int = option(
-        128, help="longer side of the image that features are taken from", advanced=True, group=LOSS
+    variation_weight: float = advanced(
+        10.0, LOSS, help="weight of differences between neighbors, except at edges of geometry"
     )
-    offset_weight: float = option(0.5, help="weight of offsets from palette colors", advanced=True, group=LOSS)
-    certainty_weight: float = option(
-        5e-3, help="weight of mixing: the share that is not of a pixel's first color", advanced=True, group=LOSS
+    edge_weight: float = advanced(50.0, LOSS, help="weight of contrast at edges of geometry")
+    smooth_weight: float = advanced(100.0, LOSS, help="weight of the photo's colors where the edit fades")
+    start: str = advanced(
+        "clusters", STEPS, choices=("clusters", "random"), help="initial palette colors (LAENeRF: random)"
     )
-    variation_weight: float = option(
-        10.0, help="weight of differences between neighbors, except at edges of geometry", advanced=True, group=LOSS
+    palette_steps: int = advanced(300, STEPS, help="steps on the photos alone")
+    style_steps: int = advanced(100, STEPS, help="steps on the style image")
+    pruned_steps: int = advanced(-1, STEPS, help="steps after colors are pruned (-1: 100; with a style image 40)")
+    preview_every: float = advanced(
+        0.0, STEPS, metavar="SECONDS", help="time between previews of the region (0: none)", incidental=True
     )
-    edge_weight: float = option(50.0, help="weight of contrast at edges of geometry", advanced=True, group=LOSS)
-    smooth_weight: float = option(
-        100.0, help="weight of the photo's colors where the edit fades", advanced=True, group=LOSS
-    )
-    start: str = option(
-        "clusters",
-        choices=("clusters", "random"),
-        help="initial palette colors (LAENeRF: random)",
-        advanced=True,
-        group=STEPS,
-    )
-    palette_steps: int = option(300, help="steps on the photos alone", advanced=True, group=STEPS)
-    style_steps: int = option(100, help="steps on the style image", advanced=True, group=STEPS)
-    pruned_steps: int = option(
-        -1, help="steps after colors are pruned (-1: 100; with a style image 40)", advanced=True, group=STEPS
-    )
-    preview_every: float = option(
-        0.0,
-        metavar="SECONDS",
-        help="time between previews of the region (0: none)",
-        incidental=True,
-        advanced=True,
-        group=STEPS,
-    )
-    checkpoint_every_seconds: float = option(
-        20.0, help="time between checkpoints", incidental=True, advanced=True, group=STEPS
-    )
+    checkpoint_every_seconds: float = advanced(20.0, STEPS, help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         if self.recolor == bool(self.style):
@@ -98,9 +91,7 @@ class PaletteConfig:
     """Changes of a learned palette, which need no training."""
 
     palette: tuple[str, ...] = option(
-        (),
-        metavar="I=#RRGGBB",
-        help="replace palette color I; all=#RRGGBB: replace the hue of all",
+        (), metavar="I=#RRGGBB", help="replace palette color I; all=#RRGGBB: replace the hue of all"
     )
     palette_weight: tuple[str, ...] = option((), metavar="I=S", help="multiply the weight of palette color I by S")
     palette_bias: tuple[str, ...] = option((), metavar="I=B", help="add B to the weight of palette color I")
@@ -131,3 +122,96 @@ def number_of(text: str) -> tuple[int, float]:
     if not match:
         raise ValueError(f"{text!r} is not a palette index and a number, written I=S")
     return int(match[1]), float(match[2])
+
+
+@dataclass(frozen=True)
+class DistillConfig:
+    """How an edit is written into the photos."""
+
+    fade: bool = option(True, help="fade palette changes towards the region's surroundings")
+    min_opacity: float = option(0.5, help="opacity of the region from which a pixel is edited")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.min_opacity < 1:
+            raise ValueError("min_opacity must be between 0 and 1")
+
+
+@dataclass(frozen=True)
+class FinetuneConfig:
+    """How a field learns edited photos."""
+
+    budget: str = option("30s", help="time (45s, 2m) or number of steps")
+    rays: int = option(6144, help="rays per step")
+    inside: float = option(0.4, help="fraction of them through edited pixels")
+    beside: float = option(0.3, help="fraction of them through pixels around those")
+    rate: float = option(0.0, help="learning rate of the colors (0: 0.02 for a region's own, 0.005 for the field's)")
+    density_factor: float = option(
+        -1.0, help="learning rate of the density relative to it (-1: 0 with a region's own colors, else 0.3)"
+    )
+    colors: str = option(
+        "region",
+        choices=("region", "field"),
+        help="colors that learn: the region's own, which tint nothing beyond it, or the whole field's",
+    )
+    freeze_density: bool = option(False, help="keep the shapes")
+    depth_weight: float = option(1e-3, help="weight of the squared relative change of depth at edited pixels")
+    checkpoint_every_seconds: float = advanced(20.0, help="time between checkpoints", incidental=True)
+
+    @property
+    def rates(self) -> tuple[float, float]:
+        """(learning rate of the colors, that of the density relative to it), resolved."""
+        rate, factor = (2e-2, 0.0) if self.colors == "region" else (5e-3, 0.3)
+        factor = factor if self.density_factor < 0 else self.density_factor
+        return self.rate or rate, 0.0 if self.freeze_density else factor
+
+    def __post_init__(self) -> None:
+        budget_of(self.budget)
+        if self.rays < 64 or not 0 < self.inside <= 1 or self.rate < 0:
+            raise ValueError("rays must be at least 64, inside in (0, 1], rate at least 0")
+        if not 0 <= self.beside <= 1 - self.inside:
+            raise ValueError("beside must be at least 0, inside and beside together at most 1")
+        if self.colors == "region" and self.rates[1] == 0:
+            for name in ("beside", "depth_weight"):
+                if getattr(self, name) != getattr(type(self), name):
+                    flag = "--" + name.replace("_", "-")
+                    raise ValueError(f"{flag} has no effect while only a region's own colors learn")
+        if (self.density_factor < 0 and self.density_factor != -1) or self.depth_weight < 0:
+            raise ValueError("density_factor must be at least 0, or -1, and depth_weight at least 0")
+
+
+@dataclass(frozen=True)
+class RegionConfig(PaletteConfig, EditConfig):
+    """Both in one command. They are two stages, so that changing a palette needs no training."""
+
+    def __post_init__(self) -> None:
+        EditConfig.__post_init__(self)
+        PaletteConfig.__post_init__(self)
+
+    @property
+    def learning(self) -> EditConfig:
+        """How the look is learned."""
+        return EditConfig(**{item.name: getattr(self, item.name) for item in fields(EditConfig)})
+
+    @property
+    def changes(self) -> PaletteConfig:
+        """Changes to the palette."""
+        return PaletteConfig(**{item.name: getattr(self, item.name) for item in fields(PaletteConfig)})
+
+
+@dataclass(frozen=True)
+class WholeEditConfig(RegionConfig, SelectConfig):
+    """What is selected and what becomes of it. Later stages take their options from the --config file."""
+
+    def __post_init__(self) -> None:
+        SelectConfig.__post_init__(self)
+        RegionConfig.__post_init__(self)
+
+    @property
+    def selection(self) -> SelectConfig:
+        """What is selected."""
+        return SelectConfig(**{item.name: getattr(self, item.name) for item in fields(SelectConfig)})
+
+    @property
+    def look(self) -> RegionConfig:
+        """What becomes of it."""
+        return RegionConfig(**{item.name: getattr(self, item.name) for item in fields(RegionConfig)})

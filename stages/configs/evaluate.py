@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.views import file_of
 
 CONSISTENCY = ("correct", "laenerf-script", "stylerf-family", "all")
@@ -19,16 +19,13 @@ class EvaluateConfig:
         digest="style_digest",
     )
     style_digest: str = ""
-    features: str = option(
-        "", advanced=True, group="style", help="feature network of the style distances: a name or a file of VGG weights"
+    features: str = advanced(
+        "", "style", help="feature network of the style distances: a name or a file of VGG weights"
     )
-    style_side: int = option(
-        256, advanced=True, group="style", help="longer side in pixels at which render and style image are compared"
-    )
-    perceptual: str = option(
+    style_side: int = advanced(256, "style", help="longer side in pixels at which render and style image are compared")
+    perceptual: str = advanced(
         "auto",
-        advanced=True,
-        group="perceptual metrics",
+        "perceptual metrics",
         choices=("auto", "none"),
         help="auto: perceptual distances whose weights are available",
     )
@@ -39,10 +36,9 @@ class EvaluateConfig:
         help="protocol of multi-view consistency: correct (with a visibility test), laenerf-script (LAENeRF's "
         "released script, bugs included), stylerf-family (softmax splatting), or all",
     )
-    flow: str = option(
+    flow: str = advanced(
         "",
-        advanced=True,
-        group="consistency",
+        "consistency",
         metavar="DIR",
         help="folder of optical flow, FROM_to_TO.flo or .npy by frame number (default: from depth and poses)",
         digest="flow_digest",
@@ -55,46 +51,23 @@ class EvaluateConfig:
         digest="reference_digest",
     )
     reference_digest: str = ""
-    gap: int = option(7, advanced=True, group="consistency", help="frames between the two views of a long-range pair")
-    pairs: int = option(
-        24, advanced=True, group="consistency", help="maximum number of pairs per range, evenly spread (0: all)"
+    gap: int = advanced(7, "consistency", help="frames between the two views of a long-range pair")
+    pairs: int = advanced(24, "consistency", help="maximum number of pairs per range, evenly spread (0: all)")
+    perceptual_pairs: int = advanced(
+        8, "consistency", help="maximum number of pairs per range for the perceptual distance (0: all)"
     )
-    perceptual_pairs: int = option(
-        8,
-        advanced=True,
-        group="consistency",
-        help="maximum number of pairs per range for the perceptual distance (0: all)",
-    )
-    depth_tolerance: float = option(
-        0.02,
-        advanced=True,
-        group="consistency",
-        help="maximum relative depth difference of a visible pixel",
-    )
-    masks: str = option(
+    depth_tolerance: float = advanced(0.02, "consistency", help="maximum relative depth difference of a visible pixel")
+    masks: str = advanced(
         "",
-        advanced=True,
-        group="local edit",
+        "local edit",
         metavar="DIR",
         help="masks of a local edit: images named like the views, white where edited",
         digest="masks_digest",
     )
     masks_digest: str = ""
-    margin: int = option(
-        2,
-        advanced=True,
-        group="local edit",
-        help="pixels around a region that are not counted as background",
-    )
-    ring: int = option(
-        8,
-        advanced=True,
-        group="local edit",
-        help="width in pixels of the ring around a region where bleeding is measured",
-    )
-    train_views: bool = option(
-        False, advanced=True, group="local edit", help="also measure a local edit on the training views"
-    )
+    margin: int = advanced(2, "local edit", help="pixels around a region that are not counted as background")
+    ring: int = advanced(8, "local edit", help="width in pixels of the ring around a region where bleeding is measured")
+    train_views: bool = advanced(False, "local edit", help="also measure a local edit on the training views")
     sheet: int = option(6, help="number of views on the contact sheet: the worst, the best, others evenly spread")
 
     def __post_init__(self) -> None:

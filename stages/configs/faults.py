@@ -1,6 +1,6 @@
-"""Faults and methods of `stylerf stress`. Data only, so that `--help` imports nothing else."""
+"""Faults that scenes and style images can have, the methods tried under them, and the options of a scene with one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 SCENE, MADE, STYLE, PALETTE = "scene", "made", "style", "palette"
 FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
@@ -102,3 +102,21 @@ ALL_METHODS = (
     Method("palettenerf", edit="palette"),
 )
 METHODS = {method.name: method for method in ALL_METHODS}
+
+
+@dataclass(frozen=True)
+class CorruptSceneConfig:
+    """One fault of one scene.
+
+    fault: its name, see docs/how-to/stress.md. amount: how much of it. side: longer side of the photos, pixels; larger
+    ones are downscaled. views: training views of a procedural scene. tests: test views, which have no fault. source:
+    folder of the scene to corrupt, empty for a procedural one. source_digest: its digest.
+    """
+
+    fault: str = "seeds"
+    amount: float = 0.0
+    side: int = 160
+    views: int = 24
+    tests: int = 4
+    source: str = field(default="", metadata={"digest": "source_digest"})
+    source_digest: str = ""

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from stages.configs import option
+from stages.configs import advanced, option
 
 FIELD_KINDS = ("vm", "hash", "voxel")
 # By layout, whenever density is trained (docs/decisions/0011).
@@ -36,8 +36,7 @@ class FitConfig:
         help="background to train transparent pixels over (auto: white)",
     )
     samples: int = option(
-        0,
-        help="density samples per step (0: on the CPU 500 per second of the budget, 30000 to 90000; on a GPU 262144)",
+        0, help="density samples per step (0: on the CPU 500 per second of the budget, 30000 to 90000; on a GPU 262144)"
     )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     exposure: str = option(
@@ -49,59 +48,36 @@ class FitConfig:
         -1, metavar="N", help="training views held out for decisions (-1: every tenth, at most 4; 0: none)"
     )
     buffers: bool = option(True, help="also render every view to EXR after the fit", incidental=True)
-    head: str = option(
+    head: str = advanced(
         "linear",
+        "representation",
         choices=("linear", "mlp"),
         help="from features to colors: spherical harmonics, or a small network",
-        advanced=True,
-        group="representation",
     )
-    degree: int = option(
-        1,
-        choices=(0, 1, 2),
-        help="degree of the color's spherical harmonics",
-        advanced=True,
-        group="representation",
+    degree: int = advanced(1, "representation", choices=(0, 1, 2), help="degree of the color's spherical harmonics")
+    smoothness: float = advanced(
+        -1.0, "regularization", help="weight of the planes' total variation (-1: by the scene's layout)"
     )
-    smoothness: float = option(
+    near_scaling_distance: float = advanced(
         -1.0,
-        help="weight of the planes' total variation (-1: by the scene's layout)",
-        advanced=True,
-        group="regularization",
-    )
-    near_scaling_distance: float = option(
-        -1.0,
+        "regularization",
         help="scale gradients of samples nearer to a camera than this, scene units (0: never; -1: by the layout)",
-        advanced=True,
-        group="regularization",
     )
-    opacity_weight: float = option(
-        0.0,
-        help="weight of a prior that makes an object's rays clear or opaque (remedy for haze)",
-        advanced=True,
-        group="regularization",
+    opacity_weight: float = advanced(
+        0.0, "regularization", help="weight of a prior that makes an object's rays clear or opaque (remedy for haze)"
     )
-    visual_hull: float = option(
+    visual_hull: float = advanced(
         0.05,
+        "regularization",
         help="fraction of cut-out views that must show a place as empty to exclude it (0: exclude nothing)",
-        advanced=True,
-        group="regularization",
     )
-    coverage_weight: float = option(
-        0.1,
-        help="weight of the error of an object's alpha beside that of its colors",
-        advanced=True,
-        group="regularization",
+    coverage_weight: float = advanced(
+        0.1, "regularization", help="weight of the error of an object's alpha beside that of its colors"
     )
-    gradient_clip: float = option(
-        0.0,
-        help="clip gradients at this multiple of their running norm (0: never)",
-        advanced=True,
-        group="safeguards",
+    gradient_clip: float = advanced(
+        0.0, "safeguards", help="clip gradients at this multiple of their running norm (0: never)"
     )
-    checkpoint_every_seconds: float = option(
-        15.0, help="time between checkpoints", incidental=True, advanced=True, group="safeguards"
-    )
+    checkpoint_every_seconds: float = advanced(15.0, "safeguards", help="time between checkpoints", incidental=True)
 
     def __post_init__(self) -> None:
         budget_of(self.budget)

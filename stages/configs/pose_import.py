@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from stages.configs import option
+from stages.configs import advanced, option
 
 # Of poses that are read, in the order in which they are taken where several are there.
 FORMATS = ("transforms", "colmap", "llff", "metashape", "opensfm", "polycam", "record3d")
@@ -37,31 +37,22 @@ class ImportOptions:
         choices=("auto", "alpha", "white", "black", "none"),
         help="background of the object (auto: alpha if there is any, else from the image borders)",
     )
-    test_every: int = option(
-        8, help="hold out every Nth photo for tests if the source has no split (0: none)"
-    )
-    matching: str = option(
+    test_every: int = option(8, help="hold out every Nth photo for tests if the source has no split (0: none)")
+    matching: str = advanced(
         "auto",
-        advanced=True,
-        group="structure from motion",
+        "structure from motion",
         choices=("auto", "exhaustive", "sequential"),
         help="structure from motion compares "
         "all pairs of photos, or neighbors in a video (auto: all pairs up to 80 photos)",
     )
-    sfm_side: int = option(
+    sfm_side: int = advanced(
         1600,
-        advanced=True,
-        group="structure from motion",
+        "structure from motion",
         help="structure from motion looks at copies whose longer side has at most so many pixels",
     )
-    sfm_features: int = option(
-        2048, advanced=True, group="structure from motion", help="and at so many features in each"
-    )
-    one_camera: bool = option(
-        True,
-        advanced=True,
-        group="structure from motion",
-        help="photos of one size, lens and zoom share their intrinsics",
+    sfm_features: int = advanced(2048, "structure from motion", help="and at so many features in each")
+    one_camera: bool = advanced(
+        True, "structure from motion", help="photos of one size, lens and zoom share their intrinsics"
     )
 
     def __post_init__(self) -> None:

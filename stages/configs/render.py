@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.configs import option
+from stages.configs import advanced, option
 
 OWN_VIEWS = ("train", "test", "views")  # paths of the scene's own views; "views": both others
 SLOWEST_FPS = 1 / 1001  # video containers store the rate as a fraction with a denominator up to 1001
@@ -27,13 +27,11 @@ class RenderConfig:
     scale: float = option(1.0, help="image size relative to the scene's views")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
-    masks: bool = option(False, advanced=True, help="also write the regions as PNG, masks/<name>/NNNN.png")
-    depth: bool = option(False, advanced=True, help="also write color-mapped depth")
-    displacement: bool = option(
-        False, advanced=True, help="also write the color-mapped displacement of a deformed field"
-    )
+    masks: bool = advanced(False, help="also write the regions as PNG, masks/<name>/NNNN.png")
+    depth: bool = advanced(False, help="also write color-mapped depth")
+    displacement: bool = advanced(False, help="also write the color-mapped displacement of a deformed field")
     video: bool = option(False, help="also write a video: MP4 (extra `video`), else GIF")
-    fps: float = option(24.0, advanced=True, help="frames per second of the video")
+    fps: float = advanced(24.0, help="frames per second of the video")
 
     def __post_init__(self) -> None:
         frames_of(self.frames, 1 << 30)

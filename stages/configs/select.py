@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.views import depth_of, file_of, pixel_of
 
 GROWING = "growing"
@@ -35,28 +35,16 @@ class SelectConfig:
     subtract: tuple[str, ...] = option((), metavar="REGION", help="regions to remove")
     intersect: tuple[str, ...] = option((), metavar="REGION", help="regions to intersect with")
     preview: tuple[str, ...] = option((), metavar="VIEW", help="views to preview (default: named ones, two more)")
-    steps: int = option(5, help="rounds of growing", advanced=True, group=GROWING)
-    iterations: int = option(200000, help="cells examined per round", advanced=True, group=GROWING)
-    neck: float = option(
-        0.3,
-        help="stop where the object narrows to this fraction of its widest part so far (0: go on)",
-        advanced=True,
-        group=GROWING,
+    steps: int = advanced(5, GROWING, help="rounds of growing")
+    iterations: int = advanced(200000, GROWING, help="cells examined per round")
+    neck: float = advanced(
+        0.3, GROWING, help="stop where the object narrows to this fraction of its widest part so far (0: go on)"
     )
-    fill: int = option(2, help="fill gaps of up to twice this many cells (0: none)", advanced=True, group=GROWING)
-    solid: float = option(
-        0.02, help="opacity of a cell from which growing passes through it", advanced=True, group=GROWING
-    )
-    most: float = option(
-        0.5, help="fraction of everything solid above which growing counts as a leak", advanced=True, group=GROWING
-    )
-    transition: int = option(2, help="width of the growing grid around the region, cells", advanced=True, group=GROWING)
-    cells: int = option(
-        0,
-        help="cells per side of the cube (0: about 1.5 pixels of the photos, 64 to 256)",
-        advanced=True,
-        group=GROWING,
-    )
+    fill: int = advanced(2, GROWING, help="fill gaps of up to twice this many cells (0: none)")
+    solid: float = advanced(0.02, GROWING, help="opacity of a cell from which growing passes through it")
+    most: float = advanced(0.5, GROWING, help="fraction of everything solid above which growing counts as a leak")
+    transition: int = advanced(2, GROWING, help="width of the growing grid around the region, cells")
+    cells: int = advanced(0, GROWING, help="cells per side of the cube (0: about 1.5 pixels of the photos, 64 to 256)")
     files_digest: str = ""  # sha256 of the masks
 
     def __post_init__(self) -> None:

@@ -1,10 +1,23 @@
 """Options of `stylerf stress`."""
 
 from dataclasses import dataclass
+from typing import TypedDict
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.faults import FAULTS, METHODS
 from stages.configs.fit import budget_of
+
+
+class Conditions(TypedDict):
+    """What all trials share. Budgets are a time or a number of steps."""
+
+    seeds: int
+    budget: str
+    style_budget: str
+    side: int
+    views: int
+    tests: int
+    quick: bool
 
 
 @dataclass(frozen=True)
@@ -20,15 +33,14 @@ class StressConfig:
     seeds: int = option(0, help="runs of each cell, with consecutive seeds from --seed (0: 5, with --quick 2)")
     budget: str = option("", help="training time of each fit, or steps (default: 20s, with --quick 150 steps)")
     style_budget: str = option(
-        "",
-        help="time of each stylization or edit, or steps (default: --budget, with --quick 15 steps, 60 for edits)",
+        "", help="time of each stylization or edit, or steps (default: --budget, with --quick 15 steps, 60 for edits)"
     )
-    side: int = option(
-        0, advanced=True, help="longer side of the photos, pixels; larger ones are downscaled (0: 160, with --quick 64)"
+    side: int = advanced(
+        0, help="longer side of the photos, pixels; larger ones are downscaled (0: 160, with --quick 64)"
     )
     remedies: str = option("off", choices=("off", "on", "both"), help="run without remedies, with them, or both")
     quick: bool = option(False, help="run few, small and short trials")
-    keep: bool = option(False, advanced=True, help="keep the scenes and fields of all trials in WORK/stress/works")
+    keep: bool = advanced(False, help="keep the scenes and fields of all trials in WORK/stress/works")
 
     def __post_init__(self) -> None:
         for name, known in (("methods", METHODS), ("faults", FAULTS)):
@@ -52,7 +64,7 @@ class StressConfig:
         return [name for name in FAULTS if name in self.faults or "all" in self.faults]
 
     @property
-    def conditions(self) -> dict[str, object]:
+    def conditions(self) -> Conditions:
         """What all trials share, and what a baseline must share with them."""
         quick = self.quick
         budget = self.budget or ("150" if quick else "20s")

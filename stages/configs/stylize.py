@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
-from stages.configs import option
+from stages.configs import advanced, option
 from stages.configs.fit import budget_of
 from stages.configs.views import file_of
 
@@ -46,65 +46,47 @@ class StylizeConfig:
         help="color matching to the style image (auto: both; refnpr: before if it makes the reference, else none)",
     )
     rate: float = option(3e-2, help="learning rate of the colors")
-    layers: str = option(
+    layers: str = advanced(
         "",
+        LOSS,
         help="feature layers to match: conv2, conv3_1 ... (default: conv3; Gram: conv2 to conv4; refnpr: conv3,conv4)",
-        advanced=True,
-        group=LOSS,
     )
-    variation_weight: float = option(
-        -1.0, help="weight of the image's total variation (-1: 0.1 for desrf, else 1)", advanced=True, group=LOSS
+    variation_weight: float = advanced(
+        -1.0, LOSS, help="weight of the image's total variation (-1: 0.1 for desrf, else 1)"
     )
-    feature_scale: float = option(
-        0.0,
-        help="image size for features, relative to the view (0: half, at least 256 pixels if it has them)",
-        advanced=True,
-        group=LOSS,
+    feature_scale: float = advanced(
+        0.0, LOSS, help="image size for features, relative to the view (0: half, at least 256 pixels if it has them)"
     )
-    coarse: float = option(
+    coarse: float = advanced(
         -1.0,
+        LOSS,
         help="first fraction of the style steps, at half the feature scale (-1: 0.6 where desrf deforms an object, "
         "else 0)",
-        advanced=True,
-        group=LOSS,
     )
-    style_rows: int = option(4096, help="most style features to match with", advanced=True, group=LOSS)
-    style_basis: int = option(
-        96, help="principal directions used to find nearest neighbors (0: all, exact)", advanced=True, group=LOSS
+    style_rows: int = advanced(4096, LOSS, help="most style features to match with")
+    style_basis: int = advanced(96, LOSS, help="principal directions used to find nearest neighbors (0: all, exact)")
+    refit_steps: int = advanced(300, COLORS, help="steps that first fit the new colors to the photos")
+    min_spread: float = advanced(
+        0.0, COLORS, help="smallest standard deviation of luma to match to, 0 to 0.25; remedy for blank style images"
     )
-    refit_steps: int = option(
-        300, help="steps that first fit the new colors to the photos", advanced=True, group=COLORS
-    )
-    min_spread: float = option(
-        0.0,
-        help="smallest standard deviation of luma to match to, 0 to 0.25; remedy for blank style images",
-        advanced=True,
-        group=COLORS,
-    )
-    max_gain: float = option(
+    max_gain: float = advanced(
         4.0,
+        COLORS,
         help="largest factor by which matching stretches the scene's colors along any axis (0: no limit, as ARF)",
-        advanced=True,
-        group=COLORS,
     )
-    levels: int = option(8, help="levels of the color field's hash grid", advanced=True, group=GRID)
-    finest: int = option(
+    levels: int = advanced(8, GRID, help="levels of the color field's hash grid")
+    finest: int = advanced(
         0,
+        GRID,
         help=f"cells per side of its finest level (0: a little finer than a pixel, {COLOR_CELLS[0]} to "
         f"{COLOR_CELLS[1]})",
-        advanced=True,
-        group=GRID,
     )
-    table_bits: int = option(17, help="log2 of its table entries per level", advanced=True, group=GRID)
-    rollbacks: int = option(
-        0, help="rollbacks, at half the rate, after a loss that is not finite", advanced=True, group=LIMITS
+    table_bits: int = advanced(17, GRID, help="log2 of its table entries per level")
+    rollbacks: int = advanced(0, LIMITS, help="rollbacks, at half the rate, after a loss that is not finite")
+    gradient_clip: float = advanced(
+        0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
     )
-    gradient_clip: float = option(
-        0.0, help="clip gradients at this multiple of their running norm (0: never)", advanced=True, group=LIMITS
-    )
-    checkpoint_every_seconds: float = option(
-        20.0, help="time between checkpoints", incidental=True, advanced=True, group=LIMITS
-    )
+    checkpoint_every_seconds: float = advanced(20.0, LIMITS, help="time between checkpoints", incidental=True)
 
     @property
     def references(self) -> tuple[str, ...]:
@@ -152,19 +134,11 @@ class ArfConfig(StylizeConfig):
         choices=("auto", "full", "deferred", "dilated", "random", "patch"),
         help="rays of a view that receive gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
-    dilation: int = option(
-        2,
-        help="dilated: every Nth ray in both axes; random, patch: as few rays",
-        advanced=True,
-        group=RAYS,
+    dilation: int = advanced(2, RAYS, help="dilated: every Nth ray in both axes; random, patch: as few rays")
+    blur: int = advanced(
+        0, RAYS, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)"
     )
-    blur: int = option(
-        0, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)", advanced=True,
-        group=RAYS,
-    )  # fmt: skip
-    remember: bool = option(
-        True, help="take rays without gradients from the view's last render", advanced=True, group=RAYS
-    )
+    remember: bool = advanced(True, RAYS, help="take rays without gradients from the view's last render")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -183,9 +157,7 @@ class DesrfConfig(ArfConfig):
     displacement_weight: float = option(
         -1.0, help="weight of the displacement's root mean square (-1: 0.003 in captures, 0 for an object)"
     )
-    displacement_vertices: int = option(
-        32, help="vertices per side of the deformation's grid", advanced=True, group=SHAPES
-    )
+    displacement_vertices: int = advanced(32, SHAPES, help="vertices per side of the deformation's grid")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -204,8 +176,8 @@ class SnerfConfig(StylizeConfig):
     image_share: float = option(
         0.75, help="fraction of a round spent on images (of a number of steps at most half, each view once)"
     )
-    image_steps: int = option(5, help="steps per visit of an image", advanced=True, group=IMAGES)
-    image_rate: float = option(0.03, help="learning rate of an image's pixels", advanced=True, group=IMAGES)
+    image_steps: int = advanced(5, IMAGES, help="steps per visit of an image")
+    image_rate: float = advanced(0.03, IMAGES, help="learning rate of an image's pixels")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -233,12 +205,10 @@ class RefNprConfig(ArfConfig):
     reference_view: str = option(
         "", help="view to make a reference of (default: the one that sees most of what the others see)"
     )
-    reference_steps: int = option(
-        60, help="steps of its pixels, at most a third of the budget", advanced=True, group=REFERENCE
-    )
-    image_rate: float = option(0.03, help="learning rate of its pixels", advanced=True, group=REFERENCE)
-    reference_weight: float = option(
-        1.0, help="weight of the squared color error on its own and on registered rays", advanced=True, group=REFERENCE
+    reference_steps: int = advanced(60, REFERENCE, help="steps of its pixels, at most a third of the budget")
+    image_rate: float = advanced(0.03, REFERENCE, help="learning rate of its pixels")
+    reference_weight: float = advanced(
+        1.0, REFERENCE, help="weight of the squared color error on its own and on registered rays"
     )
 
     @property

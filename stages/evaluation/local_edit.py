@@ -1,5 +1,6 @@
 """Metrics of a local edit: change in its region, bleeding around it, and the background it should preserve."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +11,14 @@ from schemas.safe_names import listed
 from schemas.work_folder import Artifact
 from stages.artifacts.edit import OF_WEIGHTS
 from stages.artifacts.provenance import palette_behind
-from stages.artifacts.region_masks import ROLE
+from stages.artifacts.region import ROLE
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.metrics import Metric, Row, is_number
+from stages.evaluation.metrics import Metric, Row, is_number, number_in
 from stages.evaluation.region_masks import ImageMasks, RegionMasks
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import ViewRow
 from stages.run.progress import Context
-from stylerf.metrics.local_edit import background_mse, mean_change, split_view
+from stylerf.metrics.local_edit import Change, background_mse, mean_change, split_view
 
 TRAIN = "train_"
 UNEDITED = "background_mse_unedited"
@@ -56,8 +57,7 @@ class LocalEdit:
 
     def unedited_render(self, render: Render) -> Render | None:
         """The same view of the unedited field; None if it was not rendered."""
-        index = self.unedited.index_of(render.scene_view)
-        return None if index is None else self.unedited.render(index)
+        return self.unedited.same_view(render)
 
     def measure(
         self, row: ViewRow, render: Render, photo: Photo | None, unedited: FrameViews | None = None, prefix: str = ""
@@ -82,7 +82,8 @@ class LocalEdit:
             keys = (prefix + "change_inside", prefix + "change_lab")
             row.measure(keys, lambda: _rgb_and_lab(mean_change(render.image, base.image, parts.inside)))
         if parts.ring.any():
-            row.measure((prefix + "bleeding",), lambda: mean_change(render.image, base.image, parts.ring).absolute)
+            key = prefix + "bleeding"
+            row.measure((key,), lambda: _rgb_and_lab(mean_change(render.image, base.image, parts.ring))[0])
 
     def path_masks(self) -> Callable[[Render], np.ndarray] | None:
         """A function giving the region's pixels [h, w] of a frame of a camera path; None with masks given as images.
@@ -119,11 +120,12 @@ class LocalEdit:
         found = []
         for metric in metrics:
             prefix = TRAIN if metric.key.startswith(TRAIN) else ""
-            edited, unedited = _means([*rows, *self.training_rows], prefix)
-            if metric.key == prefix + "background_mse" and unedited is not None:
-                metric = replace(metric, reference={REFERENCE: unedited})
-            elif metric.key == prefix + "background_ratio" and unedited:
-                metric = replace(metric, mean=edited / unedited)
+            if (means := _means([*rows, *self.training_rows], prefix)) is not None:
+                edited, unedited = means
+                if metric.key == prefix + "background_mse":
+                    metric = replace(metric, reference={REFERENCE: unedited})
+                elif metric.key == prefix + "background_ratio" and unedited:
+                    metric = replace(metric, mean=edited / unedited)
             found.append(metric)
         return found
 
@@ -169,18 +171,20 @@ def palette_facts(field: Artifact | None) -> dict:
     return {"palette_pixels": "the opaque pixels", "palette_source": "the field the palette was trained in"}
 
 
-def _rgb_and_lab(change) -> tuple[float, float]:
-    return change.absolute, change.lab
+def _rgb_and_lab(change: Change | None) -> tuple[float, float]:
+    return (math.nan, math.nan) if change is None else (change.absolute, change.lab)
 
 
 def _put_ratio(row: ViewRow, prefix: str) -> None:
     edited, unedited = row.values[prefix + "background_mse"], row.values[prefix + UNEDITED]
-    if is_number(edited) and is_number(unedited) and unedited > 0:
+    if edited is not None and unedited is not None and unedited > 0:
         row.values[prefix + "background_ratio"] = edited / unedited
 
 
-def _means(rows: Sequence[Row], prefix: str) -> tuple[float | None, float | None]:
-    """Mean background MSE of the edited and the unedited field, over views that have both; (None, None) without any."""
-    keys = (prefix + "background_mse", prefix + UNEDITED)
-    pairs = [tuple(float(row[key]) for key in keys) for row in rows if all(is_number(row.get(key)) for key in keys)]
-    return tuple(sum(column) / len(pairs) for column in zip(*pairs, strict=True)) if pairs else (None, None)
+def _means(rows: Sequence[Row], prefix: str) -> tuple[float, float] | None:
+    """Mean background MSE of the edited and the unedited field, over views that have both; None without any."""
+    both = [(number_in(row, prefix + "background_mse"), number_in(row, prefix + UNEDITED)) for row in rows]
+    pairs = [(edited, unedited) for edited, unedited in both if edited is not None and unedited is not None]
+    if not pairs:
+        return None
+    return sum(edited for edited, _ in pairs) / len(pairs), sum(unedited for _, unedited in pairs) / len(pairs)

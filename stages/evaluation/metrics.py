@@ -4,26 +4,21 @@ import csv
 import math
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeGuard
 
 from schemas.atomic_write import replacing
 from schemas.safe_names import printable
-from stages.evaluation.metric_definitions import DEFINITIONS
+from stages.evaluation.metric_definitions import DEFINITIONS, MetricDefinition
 
 Row = dict[str, object]  # a view or a pair of views: its name, and values by metric key; None if not measured
 
 
 @dataclass(frozen=True)
-class Metric:
+class Metric(MetricDefinition):
     """A metric over views or pairs: mean, spread, how many have it and how many had to be left out."""
 
-    key: str
-    label: str
-    unit: str
-    better: str
-    digits: int
-    protocol: str
     mean: float
     median: float
     min: float
@@ -31,10 +26,6 @@ class Metric:
     count: int
     left_out: int
     reference: dict[str, float]  # the same metric of something to compare with, such as the unstylized renders
-
-    def as_json(self) -> dict:
-        """Plain numbers and text."""
-        return asdict(self)
 
 
 class _Facts(dict):
@@ -57,20 +48,15 @@ def summarize(
     found = []
     for definition in DEFINITIONS:
         having = [row for row in rows if definition.key in row]
-        values = sorted(float(row[definition.key]) for row in having if is_number(row[definition.key]))
+        values = sorted(value for row in having if (value := number_in(row, definition.key)) is not None)
         if not values:
             continue
         middle = len(values) // 2
         median = values[middle] if len(values) % 2 else (values[middle - 1] + values[middle]) / 2
-        filled = _Facts(facts)
         found.append(
             Metric(
-                key=definition.key,
-                label=definition.label.format_map(filled),
-                unit=definition.unit,
-                better=definition.better,
-                digits=definition.digits,
-                protocol=definition.protocol.format_map(filled),
+                **vars(definition)
+                | {name: getattr(definition, name).format_map(_Facts(facts)) for name in ("label", "protocol")},
                 mean=math.fsum(values) / len(values),
                 median=median,
                 min=values[0],
@@ -83,9 +69,15 @@ def summarize(
     return found
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Whether the value is a finite int or float, not a bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def number_in(row: Row, key: str) -> float | None:
+    """The finite number that a row has under a key, if any."""
+    value = row.get(key)
+    return float(value) if is_number(value) else None
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:

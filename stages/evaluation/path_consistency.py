@@ -1,18 +1,85 @@
-"""Multi-view consistency of the frames of a camera path, by one protocol or several."""
+"""Multi-view consistency of the frames of a camera path, by the field's depth and poses or by optical flow."""
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from schemas.canonical_json import digest_of, file_sha256
+from schemas.errors import BadInput
+from schemas.flow_files import FLOW_SUFFIXES, read_flow
+from schemas.safe_names import listed
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.metrics import Row
-from stages.evaluation.optical_flow import FieldFlows, FileFlows
 from stages.evaluation.perceptual_metrics import PerceptualMetrics
 from stages.evaluation.test_views import FrameViews, Render
 from stages.evaluation.view_metrics import ViewRow, nonfinite_message, spread
 from stylerf.metrics.consistency import pair_consistency
 from stylerf.metrics.flow_consistency import flow_consistency, laenerf_script, stylerf_family
+from stylerf.metrics.optical_flow import field_flow
+
+
+class FieldFlows:
+    """Flow from the depth of the first frame and the poses of both."""
+
+    description = "flow from the field's depth and poses, none where it is transparent"
+
+    def between(self, first: Render, second: Render, _indices: tuple[int, int]) -> np.ndarray:
+        """Flow [h, w, 2] in pixels from the first frame to the second, NaN where the first is transparent."""
+        return field_flow(first.posed(), second.camera)
+
+
+class FileFlows:
+    """Flow from a folder of `FROM_to_TO.flo` or `.npy`; FROM and TO are numbers of frames as in png/NNNN.png.
+
+    digest: of the flow files; the protocol shows its first digits beside the folder's name.
+    """
+
+    def __init__(self, folder: Path, frames: FrameViews, digest: str) -> None:
+        self._folder, self._files = folder, {path.stem: path for path in flow_files(folder)}
+        self._numbers = [PurePosixPath(view.png).stem for view in frames.frames.views]
+        self.description = f"flow from files ({folder.name} {digest[:8]})"
+
+    def require(self, pairs: Iterable[tuple[int, int]]) -> None:
+        """Raise BadInput unless there is a file for each of these pairs of frame indices."""
+        wanted = [self._name(first, second) for first, second in pairs]
+        missing = [name for name in wanted if name not in self._files]
+        if missing:
+            raise BadInput(
+                f"--flow {self._folder}: {len(missing)} of {len(wanted)} flows are missing ({listed(missing, 3)}); "
+                f"expected FROM_to_TO.flo or .npy in both directions for every pair, such as {wanted[0]}.flo, numbered "
+                "like the images in png/ (--pairs sets the number of pairs)"
+            )
+
+    def between(self, first: Render, second: Render, indices: tuple[int, int]) -> np.ndarray:
+        """Flow [h, w, 2] in pixels from the first frame to the second, NaN where it is unknown."""
+        path = self._files[self._name(*indices)]
+        found = read_flow(path)
+        height, width = first.alpha.shape
+        if found.shape[:2] != (height, width):
+            raise BadInput(
+                f"flow {path} is {found.shape[1]}x{found.shape[0]} but frame {first.name} is {width}x{height}; compute "
+                "the flow at the size of the frames"
+            )
+        return found
+
+    def _name(self, first: int, second: int) -> str:
+        return f"{self._numbers[first]}_to_{self._numbers[second]}"
+
+
+def flow_files(folder: Path) -> list[Path]:
+    """List the flow files in a folder; BadInput if there are none."""
+    found = sorted(one for one in folder.glob("*") if one.suffix.lower() in FLOW_SUFFIXES and one.is_file())
+    if not found:
+        raise BadInput(f"--flow {folder}: expected .flo or .npy files, found none")
+    return found
+
+
+def flows_digest(folder: Path) -> str:
+    """Digest of the names and contents of the flow files in a folder."""
+    return digest_of({one.name: file_sha256(one) for one in flow_files(folder)})
+
 
 RegionMask = Callable[[Render], np.ndarray]  # the pixels [h, w] of a frame that show the region of a local edit
 METRICS = {  # of each protocol: error, fraction of pixels it is over, perceptual distance
@@ -108,21 +175,18 @@ class PathConsistency:
         if bad is not None:
             row.skip(sum(keys.values(), ()), f"{bad.name}: {nonfinite_message(bad)}")
             return row
-        forward, backward = self._flows(views, indices)
+        flows = self._flows(views, indices)
         for protocol, names in keys.items():
-            row.measure(
-                names, lambda protocol=protocol: self._values(protocol, views, forward, backward, perceptual)[:count]
-            )
+            row.measure(names, partial(self._values, protocol, views, flows, perceptual, count))
         if self._mask is not None and "correct" in self.protocols:
             within = self._mask(views[1])
-            key = (f"edit_{label}_rmse",)
-            row.measure(key, lambda: self._values("correct", views, forward, backward, False, within)[0])
+            row.measure((f"edit_{label}_rmse",), lambda: self._values("correct", views, flows, False, 1, within))
         return row
 
-    def _flows(self, views: tuple[Render, Render], indices: tuple[int, int]):
-        """Flow from the first view to the second, and back; (None, None) if no protocol needs it."""
+    def _flows(self, views: tuple[Render, Render], indices: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:
+        """Flow from the first view to the second, and back; None if no protocol needs it."""
         if self.protocols == ("correct",) and not self.config.flow:
-            return None, None
+            return None
         first, second = views
         return self.flows.between(first, second, indices), self.flows.between(second, first, indices[::-1])
 
@@ -130,18 +194,19 @@ class PathConsistency:
         self,
         protocol: str,
         views: tuple[Render, Render],
-        forward: np.ndarray | None,
-        backward: np.ndarray | None,
+        flows: tuple[np.ndarray, np.ndarray] | None,
         perceptual: bool,
+        count: int,
         within: np.ndarray | None = None,
     ) -> tuple:
-        """Error, fraction of pixels and perceptual distance of one pair by one protocol."""
+        """The first `count` of error, fraction of pixels and perceptual distance of one pair by one protocol."""
         first, second = views
         pixels, image = (self._pixel_distance, self._image_distance) if perceptual else (None, None)
-        if protocol == "correct" and not self.config.flow:
+        if flows is None or (protocol == "correct" and not self.config.flow):
             one, other = first.posed(), second.posed()
-            found = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
-            return found.rmse, found.share, found.perceptual
+            pair = pair_consistency(one, other, pixels, self.config.depth_tolerance, within=within)
+            return (pair.rmse, pair.share, pair.perceptual)[:count]
+        forward, backward = flows
         if protocol == "correct":
             opaque = second.alpha > 0.5
             counted = opaque if within is None else opaque & within
@@ -150,4 +215,4 @@ class PathConsistency:
             found = laenerf_script(first.image, second.image, forward, backward, image)
         else:
             found = stylerf_family(first.image, second.image, forward, pixels)
-        return found.error, found.share, found.perceptual
+        return (found.error, found.share, found.perceptual)[:count]

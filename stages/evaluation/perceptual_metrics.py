@@ -1,18 +1,170 @@
 """The perceptual networks of an evaluation, and its style image."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.errors import BadInput
+import numpy as np
+import torch
+from torch import Tensor
+
+from schemas.errors import BadInput, UsageError
 from schemas.work_folder import Artifact
 from stages.artifacts.style_images import read_colors
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
-from stages.evaluation.perceptual_networks import PerceptualNetwork, StyleImage, perceptual_networks
 from stages.evaluation.view_metrics import Score
 from stages.run.progress import Context
+from stages.weights import resolve
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
+from stylerf.metrics.frechet import Moments, frechet_squared, moments
+from stylerf.metrics.perceptual import PerceptualDistance
+from stylerf.style.feature_extractor import FeatureExtractor, fitted
+from stylerf.style.feature_matching import StyleRows, style_rows
+from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
+
+# conv3_1 to conv3_3 concatenated, as in ARF; conv2_2, just before the second pooling, where SIFID takes its features.
+LAYERS = ("conv2_2", "conv3")
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptualNetwork:
+    """A named perceptual distance on images [h, w, 3] in 0..1."""
+
+    name: str
+    source: str
+    network: PerceptualDistance
+    device: str
+
+    @torch.no_grad()
+    def distance(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Distance of two images, >= 0."""
+        return float(self.network(_batch(a, self.device), _batch(b, self.device))[0])
+
+    @torch.no_grad()
+    def pixels(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Distance per pixel, [h, w]."""
+        return self.network.maps(_batch(a, self.device), _batch(b, self.device))[0].cpu().numpy()
+
+
+def perceptual_networks(device: str) -> tuple[PerceptualNetwork | None, PerceptualNetwork | None]:
+    """Load ST-LPIPS and LPIPS; each is None if its weights are missing."""
+    st_lpips, lpips = (_load(found, device) for found in _perceptual_weights())
+    return st_lpips, lpips
+
+
+def available_networks(perceptual: bool, style: bool, features: str) -> str:
+    """Names and digests of the networks of an evaluation: perceptual ones, and that of the style features.
+
+    Raises UsageError if style is measured and the feature network is missing.
+    """
+    found = [one for one in _perceptual_weights() if one] if perceptual else []
+    found += [resolve.resolve(features or None)] if style else []
+    return ", ".join(f"{one.name} {one.digest[:16]}" for one in found)
+
+
+def _perceptual_weights() -> tuple[resolve.ResolvedExtractor | None, resolve.ResolvedExtractor | None]:
+    # Prefer AlexNet: at 504x378 on two cores, ST-LPIPS on VGG-16 takes 2.4 times as long.
+    names = sorted(resolve.available_metrics(), key=lambda name: "alex" not in name)
+    lpips = next((name for name in names if name.startswith("lpips")), None)
+    st_lpips = next((name for name in names if name.startswith("st-lpips")), None)
+    return _first_of(("st-lpips-alex", st_lpips) if st_lpips else ()), _first_of((lpips,) if lpips else ())
+
+
+def _first_of(names: tuple[str, ...]) -> resolve.ResolvedExtractor | None:
+    """The first of these metrics whose weights are available."""
+    for name in names:
+        with suppress(UsageError):
+            return resolve.resolve_metric(name)
+    return None
+
+
+def _load(found: resolve.ResolvedExtractor | None, device: str) -> PerceptualNetwork | None:
+    if found is None:
+        return None
+    network = PerceptualDistance(found.state, found.kind).to(device).eval()
+    return PerceptualNetwork(found.name, found.source, network, device)
+
+
+@dataclass(frozen=True, eq=False)
+class StyleFeatures:
+    """Features of the style image at one size: rows to match against, Gram matrix, moments of conv2_2."""
+
+    rows: StyleRows
+    gram: Tensor
+    moments: Moments
+
+
+class StyleImage:
+    """A style image, and the distances of renders from it.
+
+    Both are resized to `side` pixels on the longer side, or to the render's own size if smaller, so that values of one
+    size are comparable.
+    """
+
+    def __init__(self, image: np.ndarray, features: str, side: int, device: str) -> None:
+        """image: [h, w, 3] sRGB 0..1."""
+        found = resolve.resolve(features or None)
+        self.image, self.side, self.device = image, side, device
+        self.network_name, self.network_source = found.name, found.source
+        self.extractor = FeatureExtractor(found.state, LAYERS, found.kind).to(device)
+        self._features_by_side: dict[int, StyleFeatures] = {}
+
+    @property
+    def protocol(self) -> str:
+        """How style distances are measured, for the report."""
+        return (
+            f"features conv3_1..3 of {self.network_name} ({self.network_source}), both images at {self.side} pixels on "
+            "the longer side, or at the render's size if smaller, positions weighted by alpha"
+        )
+
+    @torch.no_grad()
+    def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
+        """Distances of an image [h, w, 3] with alpha [h, w]: NNFM, relative Gram, SIFID-style.
+
+        NNFM: mean of 1 - cosine to the nearest style feature. SIFID-style: squared Frechet distance between conv2_2
+        features. All NaN if the image is transparent.
+        """
+        side = min(self.side, max(image.shape[:2]))
+        style = self._at(side)
+        fine, found = self._features(fitted(_batch(image, self.device)[0], side))
+        coverage, fine_coverage = (self._coverage(alpha, features) for features in (found, fine))
+        if float(coverage.sum()) <= 0 or float(fine_coverage.sum()) <= 0:
+            return (float("nan"),) * 3
+        nearest, _ = nearest_neighbor_distance(found, style.rows, coverage)
+        gram = style.gram
+        difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
+        sifid = frechet_squared(_moments(fine, fine_coverage > 0), style.moments)
+        return float(nearest.sum() / coverage.sum()), float(difference), sifid
+
+    def _coverage(self, alpha: np.ndarray, features: Tensor) -> Tensor:
+        """Weight of each feature position, 0 where at most half of it is opaque."""
+        weights = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), features)
+        return torch.where(weights > 0.5, weights, torch.zeros_like(weights))
+
+    def _at(self, side: int) -> StyleFeatures:
+        if side not in self._features_by_side:
+            fine, found = self._features(fitted(_batch(self.image, self.device)[0], side))
+            everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
+            self._features_by_side[side] = StyleFeatures(
+                style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
+            )
+        return self._features_by_side[side]
+
+    def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """Features [c, h, w] of conv2_2, and of the layers of conv3 concatenated."""
+        found = by_block(self.extractor.layers, self.extractor(image[None]))
+        return found["conv2"], found["conv3"]
+
+
+def _moments(features: Tensor, where: Tensor) -> Moments:
+    return moments(features[:, where].T.cpu().numpy())
+
+
+def _batch(image: np.ndarray, device: str) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(image, np.float32)).permute(2, 0, 1)[None].to(device)
+
 
 STYLE_IMAGE = "the style image"
 

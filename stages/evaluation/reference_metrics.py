@@ -16,7 +16,7 @@ from stages.artifacts.style_images import read_colors
 from stages.configs.views import file_of
 from stages.evaluation.region_masks import ASPECT_TOLERANCE
 from stages.evaluation.test_views import FrameViews, Render, SceneViews
-from stages.evaluation.view_metrics import HIGHEST_PSNR, ViewRow, nonfinite_message
+from stages.evaluation.view_metrics import HIGHEST_PSNR, ViewRow, nonfinite_message, skipped_nonfinite
 from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.image_quality import psnr
 
@@ -83,12 +83,8 @@ def references_digest(references: Sequence[str]) -> str:
 
 def measure_robustness(row: ViewRow, render: Render, reference_frames: FrameViews) -> None:
     """PSNR against the same view of the field whose renders were the references, under `robustness`."""
-    index = reference_frames.index_of(render.scene_view)
-    if index is None:
+    reference = reference_frames.same_view(render)
+    if reference is None:
         return
-    reference = reference_frames.render(index)
-    if render.nonfinite or reference.nonfinite:
-        remark = nonfinite_message(render) if render.nonfinite else f"reference field: {nonfinite_message(reference)}"
-        row.skip(("robustness",), remark)
-    else:
+    if not skipped_nonfinite(row, ("robustness",), render, reference, "reference field"):
         row.measure(("robustness",), lambda: min(psnr(render.image, reference.image), HIGHEST_PSNR))

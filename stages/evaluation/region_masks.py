@@ -12,7 +12,7 @@ from schemas.errors import BadInput
 from schemas.images import coverage, read_image
 from schemas.work_folder import Artifact
 from stages.artifacts.field import load_field
-from stages.artifacts.region_masks import regions_among
+from stages.artifacts.region import regions_among
 from stages.evaluation.test_views import FrameViews, Render
 from stages.run.progress import Context
 from stylerf.editing.edit_grid import march_view

@@ -147,6 +147,11 @@ class FrameViews:
             return None
         return next((i for i, view in enumerate(self.frames.views) if view.scene_view == scene_view), None)
 
+    def same_view(self, render: Render) -> Render | None:
+        """The frame that repeats the same view of the scene as `render`; None if there is none."""
+        index = self.index_of(render.scene_view)
+        return None if index is None else self.render(index)
+
     def mask(self, index: int, region: str, digest: str) -> np.ndarray | None:
         """Coverage [h, w] of exactly this region stored in frame `index`; None if there is none."""
         digests = {ref.name: ref.digest for ref in self.artifact.manifest.inputs if ref.kind == "region"}

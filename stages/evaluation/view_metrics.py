@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -57,6 +58,14 @@ def nonfinite_message(render: Render) -> str:
     return f"{render.nonfinite} of {render.alpha.size} pixels of the render are NaN or infinite"
 
 
+def skipped_nonfinite(row: ViewRow, keys: tuple[str, ...], render: Render, other: Render, name: str) -> bool:
+    """Skip metrics of two renders if either has NaN or infinite pixels. name: of the other one in the remark."""
+    if not (render.nonfinite or other.nonfinite):
+        return False
+    row.skip(keys, nonfinite_message(render) if render.nonfinite else f"{name}: {nonfinite_message(other)}")
+    return True
+
+
 def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str, Score]) -> None:
     """Compare a render with its photo: PSNR, SSIM, perceptual scores by key, depth errors."""
     keys = ("psnr", *(("psnr_object",) if photo.mask is not None else ()), "ssim", *scores)
@@ -72,9 +81,9 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
         )
     row.measure(("ssim",), lambda: image_quality.ssim(render.image, reference, photo.visible))
     for key, score in scores.items():
-        row.measure((key,), lambda score=score: score(render.image, reference))
+        row.measure((key,), partial(score, render.image, reference))
     if photo.depth is not None:
-        row.measure(depth_keys, lambda: _depth_values(render, photo.depth))
+        row.measure(depth_keys, partial(_depth_values, render, photo.depth))
 
 
 def _depth_values(render: Render, truth: np.ndarray) -> tuple:
@@ -105,20 +114,15 @@ def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:
     """Change of depth between the unstylized and the stylized render of a view."""
-    if render.nonfinite or base.nonfinite:
-        remark = nonfinite_message(render) if render.nonfinite else f"unstylized: {nonfinite_message(base)}"
-        row.skip(("shape_change",), remark)
-    elif base.z.shape == render.z.shape:
+    skipped = skipped_nonfinite(row, ("shape_change",), render, base, "unstylized")
+    if not skipped and base.z.shape == render.z.shape:
         row.measure(("shape_change",), lambda: shape_change(render.z, render.alpha, base.z, base.alpha))
 
 
 def measure_see_through(row: ViewRow, render: Render, previous: Render) -> None:
     """Fraction of seen-through surface points: a sign of floaters, from a view and the one before it."""
-    if render.nonfinite or previous.nonfinite:
-        remark = nonfinite_message(render) if render.nonfinite else f"previous view: {nonfinite_message(previous)}"
-        row.skip(("see_through",), remark)
-        return
-    row.measure(("see_through",), lambda: seen_through(render.posed(), previous.posed()))
+    if not skipped_nonfinite(row, ("see_through",), render, previous, "previous view"):
+        row.measure(("see_through",), lambda: seen_through(render.posed(), previous.posed()))
 
 
 def spread(count: int, limit: int) -> list[int]:

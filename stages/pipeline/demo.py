@@ -37,7 +37,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     from stages.configs.fit import FitConfig
     from stages.configs.stylize import CONFIGS
     from stages.pipeline import demo_scene
-    from stages.pipeline.importing import import_config
+    from stages.pipeline.prerequisites import import_config
     from stages.weights.resolve import chosen
 
     request = Request(force=force)
@@ -88,7 +88,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
 def refuse_others(work: WorkFolder, photos: Path) -> None:
     """Raise UsageError if the demo would replace photos or a scene that it has not made."""
     from stages.pipeline.demo_scene import STAMP
-    from stages.readers.digest import digest_of_source
+    from stages.pose_import import digest_of_source
 
     sources = {"source": str(photos.resolve())}
     if (photos / STAMP).is_file():

@@ -30,13 +30,8 @@ def write_demo(
     is written.
 
     Args:
-        folder: of the dataset.
         size: side of the photos, pixels.
-        train_views: photos to train on.
-        test_views: photos to test with.
         seed: of the scene, the cameras and the style image.
-        threads: CPU threads.
-        progress: receives progress.
     """
     wanted = {"size": size, "train_views": train_views, "test_views": test_views, "seed": seed}
     stamp = folder / STAMP

@@ -43,7 +43,6 @@ def join(verb: str, device: Callable[[], str]) -> "ProcessGroup":
     """Join the processes launched for `verb`.
 
     Args:
-        verb: the verb that is run.
         device: returns the device of this process, or raises UsageError if it has none.
 
     Raises:

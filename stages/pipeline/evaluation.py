@@ -38,7 +38,7 @@ def evaluated(
     """
     from stages import evaluate
     from stages.artifacts.provenance import field_unstylized, is_stylized
-    from stages.evaluation.pinned_inputs import pinned
+    from stages.evaluate import pinned
     from stages.evaluation.reference_metrics import check_references
     from stages.evaluation.test_views import SceneViews
 
@@ -96,7 +96,7 @@ def _edit_inputs(
     runner: StageRunner, field: Artifact, base: Artifact, regions: list[Artifact], train_views: bool
 ) -> dict[str, Artifact]:
     """Return the inputs of a local edit's evaluation by role: the field before, frames of both, the regions."""
-    from stages.artifacts.region_masks import ROLE
+    from stages.artifacts.region import ROLE
 
     runner.say(f"comparing with field {base.name}")
     inputs = {"base_field": base, "unedited_frames": frames_along(runner, base, "test")}

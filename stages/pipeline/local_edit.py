@@ -6,16 +6,26 @@ from typing import Any
 
 from schemas.errors import UsageError
 from schemas.work_folder import Artifact, WorkFolder
-from stages.configs.distill import DistillConfig
-from stages.configs.edit import EditConfig, PaletteConfig
-from stages.configs.extract import ExtractConfig
-from stages.configs.finetune import FinetuneConfig
-from stages.configs.region import RegionConfig
+from stages.configs.edit import (
+    DistillConfig,
+    EditConfig,
+    ExtractConfig,
+    FinetuneConfig,
+    PaletteConfig,
+    RegionConfig,
+    WholeEditConfig,
+)
 from stages.configs.select import SelectConfig
-from stages.configs.whole_edit import WholeEditConfig
-from stages.pipeline.prerequisites import ensure_field, field_named, input_of, pictures_of, scene_of_work
+from stages.pipeline.prerequisites import (
+    ensure_field,
+    field_named,
+    input_of,
+    name_of,
+    pictures_of,
+    scene_of_work,
+    style_file,
+)
 from stages.pipeline.stage_runner import Request, StageRunner
-from stages.pipeline.style_files import name_of, style_file
 
 
 @dataclass(frozen=True)
@@ -84,8 +94,6 @@ def edit_dataset(
     """Render what the views show of a region; the dataset is named as the region.
 
     Args:
-        runner: runs the stage.
-        region: the region.
         field: the field to render, by default the one the region was selected in.
         config: options, by default those set for `extract`.
         request: None if the dataset is a prerequisite.
@@ -138,10 +146,7 @@ def finetuned(
     """Train a field on an edit; the result is named as the edit.
 
     Args:
-        runner: runs the stage.
-        edit: the edit.
         field: the field to start from, by default the one the edit was extracted from.
-        config: options.
         request: how the caller asked for the field.
         scene: the photos with the edit, made if None.
 
@@ -190,14 +195,11 @@ def learned_edit(
     With changes, the learned edit is kept under its own name, <name>-learned if `changed` replaces it.
 
     Args:
-        runner: runs the stages.
-        region: the region.
         config: how the look is learned; holds the digests of its files.
         changes: changes of the palette.
         name: default name of the learned edit.
         changed: default name of the edit with changes.
         request: how the caller asked for the edit.
-        dataset: the edit dataset, made if None.
     """
     from stages import edit_learn, edit_palette
     from stages.run.runner import announce_replacement, recipe_of
@@ -249,10 +251,8 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     """Run a whole local edit; every artifact of it is called `name`.
 
     Args:
-        runner: runs the stages.
         config: what is selected and what becomes of it.
         field_name: the field to edit, by default the current fit of the scene.
-        name: of the artifacts.
         force: rebuild what is up to date.
     """
     from stages.region_select import masks_of

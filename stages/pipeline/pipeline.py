@@ -21,19 +21,15 @@ from schemas.work_folder import Artifact, WorkFolder
 from stages.configs.decompose import PaletteFieldConfig
 from stages.configs.deform import DeformConfig
 from stages.configs.demo import DemoConfig
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig, ExtractConfig, FinetuneConfig, RegionConfig, WholeEditConfig
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.extract import ExtractConfig
-from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import FitConfig
 from stages.configs.pose_import import ImportOptions
-from stages.configs.region import RegionConfig
 from stages.configs.render import RenderConfig, label_of
 from stages.configs.select import SelectConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
-from stages.configs.whole_edit import WholeEditConfig
-from stages.pipeline import evaluation, importing, local_edit, prerequisites, stylization
+from stages.pipeline import evaluation, local_edit, prerequisites, stylization
 from stages.pipeline.demo import Demo, run_demo
 from stages.pipeline.resources import claim, usable_threads
 from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageOptions, StageRunner
@@ -128,7 +124,7 @@ class Pipeline:
         self, source: Path | str, options: ImportOptions | None = None, *, name: str = "", force: bool = False
     ) -> Artifact:
         """Import a folder of photos, with their poses or without; return the scene."""
-        return importing.imported(self._runner, Path(source), options or ImportOptions(), Request(name, force))
+        return prerequisites.imported(self._runner, Path(source), options or ImportOptions(), Request(name, force))
 
     def fit(self, config: FitConfig | None = None, *, name: str = "", force: bool = False) -> Artifact:
         """Fit a radiance field to the scene; return the field. `config.buffers` takes a call of render_views."""
@@ -252,7 +248,6 @@ class Pipeline:
 
         Args:
             config: options of the metrics.
-            of: the field.
             path: camera path of the consistency metrics; by default that of the newest video.
             regions: regions of a local edit, which is compared with the field before it.
             base: the field before the edit; by default the one it started from.

@@ -1,11 +1,15 @@
-"""What must exist before a stage runs: the scene, a field, a deformation, frames."""
+"""What must exist before a stage runs: the scene, a style image, a field, a deformation, frames."""
 
-from dataclasses import replace
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
 
-from schemas.errors import ArtifactStale, UsageError
+from schemas.canonical_json import file_sha256
+from schemas.errors import ArtifactStale, BadInput, UsageError
 from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
+from stages.configs.pose_import import ImportConfig, ImportOptions
 from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.pipeline.stage_runner import Request, StageRunner
 
@@ -152,9 +156,60 @@ def _regions_shown(runner: StageRunner, field: Artifact, config: RenderConfig) -
     """Return the regions to render masks of, by role; report those selected in the space of another field."""
     if not config.shows_regions:
         return {}
-    from stages.artifacts.region_masks import regions_fitting
+    from stages.artifacts.region import regions_fitting
 
     fitting, others = regions_fitting(runner.work, field)
     if others:
         runner.say(f"no masks of {', '.join(others)}: selected in the space of another field than {field.name}")
     return fitting
+
+
+SCENE = "main"
+_DEFAULTS = ImportOptions()
+
+
+def imported(runner: StageRunner, source: Path, options: ImportOptions, request: Request) -> Artifact:
+    """Import photos, with their poses or without.
+
+    Raises:
+        UsageError: the work folder already holds a scene of another name.
+    """
+    from stages import pose_import
+
+    name = request.name or SCENE
+    if others := [one.name for one in photo_scenes(runner.work) if one.name != name]:
+        raise UsageError(
+            f"{runner.work.root} already holds scene {others[0]}, and a work folder holds one scene: import into "
+            f"another folder, or replace it with --name {others[0]}"
+        )
+    return runner.run(pose_import.SPEC, pose_import.run, {}, import_config(source, options), SCENE, request)
+
+
+def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
+    """Return the options of an import with its source and the digest of its files, so that changes are noticed."""
+    from stages.pose_import import digest_of_source
+
+    source = source.resolve()
+    digest = digest_of_source(source, options.format, options.images)
+    return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
+
+
+LONGEST_NAME = 60  # names of artifacts made with a style image append to its name
+
+
+def style_file(text: str) -> Path:
+    """Return the path of the style image; BadInput if there is no such file."""
+    if not Path(text).is_file():
+        raise BadInput(f"--style {text}: there is no such image")
+    return Path(text)
+
+
+def name_of(style: Path) -> str:
+    """Return the file name of a style image as part of an artifact's name.
+
+    Long names are cut and made unique by the file's digest, which also replaces names without a usable character.
+    """
+    name = re.sub(r"[^A-Za-z0-9._+-]+", "_", style.stem).strip("._+-")
+    if 0 < len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[: LONGEST_NAME - 7] or 'style'}-{file_sha256(style)[:6]}"

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from schemas.errors import UsageError
-from schemas.read_limit import set_allowance
+from schemas.safe_reading import set_allowance
 from stages.pipeline.distributed import launched
-from stages.run import cgroups
+from stages.run import memory
 from stages.run.memory import available_bytes
 
 
@@ -29,7 +29,6 @@ def resolved_device(requested: str, say: Callable[[str], None] = lambda text: No
     """Resolve `auto`, `cpu` or `cuda` to the device to compute on, `cpu` or `cuda`.
 
     Args:
-        requested: the device to resolve.
         say: receives one line if `auto` finds GPUs, but fewer than there are processes here.
 
     Raises:
@@ -82,5 +81,5 @@ def _use_threads(count: int) -> None:
 def usable_threads() -> int:
     """Return the number of cores this process may use, divided among the processes launched side by side."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    cores = max(1, int(min(allowed, cgroups.cores())))
+    cores = max(1, int(min(allowed, memory.cores())))
     return max(1, cores // int(os.environ.get("LOCAL_WORLD_SIZE", "1")))

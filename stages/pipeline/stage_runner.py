@@ -81,12 +81,7 @@ class StageRunner:
         """Set up the runner; nothing is computed or written.
 
         Args:
-            work: the work folder.
             seed: of everything random.
-            machine: where stages compute.
-            progress: receives progress and notes.
-            processes: the processes that run this command together.
-            options: options of prerequisites.
             only: raise ArtifactStale if a prerequisite is missing or out of date instead of running it.
             no_paths: record files outside the work folder by name, without their folders.
         """
@@ -124,10 +119,6 @@ class StageRunner:
         """Run a stage, or reuse its artifact if that is up to date.
 
         Args:
-            spec: the stage.
-            run: its function.
-            inputs: artifacts by role.
-            config: its options.
             name: default name of the artifact.
             request: how the caller asked for this stage; None for a prerequisite, which is announced before it runs.
             by: arguments besides work folder, name and options that the command making a prerequisite needs.

@@ -96,9 +96,8 @@ def _results(
     from schemas.atomic_write import write_bytes, write_json
     from stages.evaluation.metrics import write_csv
     from stages.stress.baseline import compared, write_baseline
-    from stages.stress.heat_map import heat_map
-    from stages.stress.page import build_page, cell_rows, run_rows
-    from stages.stress.success_rates import cells_of
+    from stages.stress.outcomes import cells_of
+    from stages.stress.page import build_page, cell_rows, heat_map, run_rows
     from stages.stress.trials import WORST
 
     root = stress.root

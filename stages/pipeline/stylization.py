@@ -7,13 +7,20 @@ from typing import Any
 from schemas.errors import ArtifactDamaged, ArtifactStale, UsageError
 from schemas.work_folder import Artifact
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig, RecolorConfig
-from stages.configs.region import RegionConfig
+from stages.configs.edit import RegionConfig
 from stages.configs.stylize import RefNprConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.pipeline.local_edit import field_of_region, learned_edit, only_one, pinned_look
-from stages.pipeline.prerequisites import ensure_deformed, ensure_field, pictures_of, scene_of_work, training_pictures
+from stages.pipeline.prerequisites import (
+    ensure_deformed,
+    ensure_field,
+    name_of,
+    pictures_of,
+    scene_of_work,
+    style_file,
+    training_pictures,
+)
 from stages.pipeline.stage_runner import Request, StageRunner
-from stages.pipeline.style_files import name_of, style_file
 
 
 def stylized(
@@ -22,21 +29,20 @@ def stylized(
     """Stylize a scene, or one region of it.
 
     Args:
-        runner: runs the stages.
         config: options; digests are filled in here.
         field_name: the field to stylize, by default the current fit (of a region: the field it was selected in).
         region_name: the region, the only one if empty; None for the whole scene.
         request: how the caller asked for the field. Its default name is <style>-<method>.
     """
     from stages import stylize
-    from stages.artifacts import references
+    from stages.artifacts import style_images
     from stages.artifacts.scene import load_scene
 
     # Refuse what cannot work before hours of prerequisites, not after them.
     config, name = _pinned(config)
     scene, more = scene_of_work(runner.work), {}
     if isinstance(config, RefNprConfig):
-        references.checked(load_scene(scene), config)
+        style_images.check_references(load_scene(scene), config)
     if region_name is None:
         field = ensure_field(runner, scene, field_name)
     else:
@@ -56,8 +62,7 @@ def stylized(
 def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     """Fill in the digests of the files that the options name, checking that they can be read; return a name too."""
     from schemas.canonical_json import file_sha256
-    from stages.artifacts.references import digest_of
-    from stages.artifacts.style_images import read_painting
+    from stages.artifacts.style_images import digest_of, read_painting
     from stages.weights.resolve import chosen
 
     pairs = [file_of(text) for text in config.references]
@@ -79,7 +84,6 @@ def region_styled(
     """Learn the look of a region (LAENeRF): a palette to recolor with, or a style image.
 
     Args:
-        runner: runs the stages.
         config: options; digests are filled in here.
         field_name: empty, or the field that the region was selected in; any other is refused.
         region_name: the region, the only one if empty.

@@ -8,14 +8,7 @@ from schemas.safe_names import printable
 from stages.readers import model_folders
 from stages.readers.colmap_model import Model, files_of, read_model
 from stages.readers.listed_photos import Folder
-from stages.readers.source import (
-    SourceCamera,
-    SourcePoints,
-    SourceScene,
-    image_folder,
-    natural,
-    with_masks,
-)
+from stages.readers.source import SourceCamera, SourcePoints, SourceScene, image_folder, natural, with_masks
 from stages.readers.split_lists import lists_of, with_splits
 from stylerf.errors import InvalidValue
 from stylerf.geometry import distortion

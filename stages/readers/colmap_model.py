@@ -106,12 +106,12 @@ def read_model(folder: Path) -> Model:
 
 
 def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
-    binary, remarks = end == ".bin", list(remarks)
-    cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, remarks)
-    images = _read(folder / f"images{end}", _images_binary if binary else _images_text, remarks)
+    binary, found = end == ".bin", list(remarks)
+    cameras = _read(folder / f"cameras{end}", _cameras_binary if binary else _cameras_text, found)
+    images = _read(folder / f"images{end}", _images_binary if binary else _images_text, found)
     points = (np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32))
     if (path := folder / f"points3D{end}").is_file():
-        points = _read(path, _points_binary if binary else _points_text, remarks)
+        points = _read(path, _points_binary if binary else _points_text, found)
     first: dict[int, ModelImage] = {}
     for image in images:
         if image.camera not in cameras:
@@ -124,7 +124,7 @@ def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
             raise BadInput(f"the COLMAP model {folder}: {two} have one number, {image.number}; number photos apart")
     if not images:
         raise BadInput(f"the COLMAP model {folder} holds no photo with a pose; reconstruct again")
-    return Model(cameras, images, *points, tuple(remarks))
+    return Model(cameras, images, *points, tuple(found))
 
 
 def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:

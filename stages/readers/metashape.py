@@ -196,12 +196,13 @@ class _Photos(Folder):
 
     def __init__(self, folder: Path, where: str) -> None:
         super().__init__(folder, None, where)
-        self._below: dict[str, list[Path]] | None = None
+        self._searched = False
+        self._below: dict[str, list[Path]] = {}
 
     def photo(self, listed: str) -> tuple[str, Path | None]:
         name, found = super().photo(listed)
-        if found is None and self._below is None:
-            self._below = {}
+        if found is None and not self._searched:
+            self._searched = True
             for parent, below, files in os.walk(self.folder):
                 # Skip hidden folders, and the artifacts of a work folder in this one.
                 below[:] = [name for name in below if name[0] != "." and "manifest.json" not in files]

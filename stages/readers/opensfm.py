@@ -82,15 +82,16 @@ def _lens(camera: object, where: str):
     longer = max(width, height)
     fx, fy = (number(camera, name, where) * longer for name in (("focal_x", "focal_y") if brown else ("focal",) * 2))
     cx, cy = (number(camera, name, where, 0.0) * longer if brown else 0.0 for name in ("c_x", "c_y"))
-    tangential = tuple(number(camera, name, where, 0.0) if kind == "brown" else 0.0 for name in ("p1", "p2"))
-    lens = Distortion(distortion, tuple(number(camera, name, where, 0.0) for name in radial), tangential)
+    p1, p2 = (number(camera, name, where, 0.0) if kind == "brown" else 0.0 for name in ("p1", "p2"))
+    lens = Distortion(distortion, tuple(number(camera, name, where, 0.0) for name in radial), (p1, p2))
     return (width, height), (fx, fy, width / 2 + cx, height / 2 + cy), lens
 
 
 def _camera(key: str, shot: object, lenses: dict, photos: Folder, where: str) -> SourceCamera:
-    lens = lenses.get(str(entry_of(shot, "camera", where)))
+    used = str(entry_of(shot, "camera", where))
+    lens = lenses.get(used)
     if lens is None:
-        raise BadInput(f"{where} has camera {printable(str(shot['camera']))[:40]}, which is missing")
+        raise BadInput(f"{where} has camera {printable(used)[:40]}, which is missing")
     rotation = _rotation(row(entry_of(shot, "rotation", where), 3, f"{where}: rotation"))
     shift = row(entry_of(shot, "translation", where), 3, f"{where}: translation")
     name, photo = photos.photo(key)

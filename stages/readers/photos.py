@@ -29,6 +29,11 @@ class Sized:
     pinhole: tuple[float, float, float, float]
     pose: np.ndarray
 
+    @property
+    def split(self) -> str:
+        """train or test; train where the source has no split."""
+        return self.camera.split or "train"
+
 
 def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
     """Checks pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
@@ -41,9 +46,9 @@ def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
         pose = checked_pose(camera.world_from_camera)
     except InvalidValue as error:
         raise BadInput(f"{where}: {error}; remove the photo from the list or repair its pose") from error
-    upright, size = source.upright, image_size(camera.image, source.upright)
+    upright, size = source.upright, image_size(camera.photo, source.upright)
     if camera.size and not upright and not _fits(size, camera.size, source.rescalable):
-        turned = image_size(camera.image)
+        turned = image_size(camera.photo)
         if _fits(turned, camera.size, source.rescalable):
             upright, size = True, turned
     intrinsics = _intrinsics(camera, size, source.rescalable)
@@ -106,12 +111,13 @@ class Developer:
     """Turns photos into the scene's pictures; the map of positions is kept for photos of one camera."""
 
     def __init__(self) -> None:
-        self._key, self._positions = None, None
+        self._key: tuple | None = None
+        self._positions = np.empty(0)
 
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
         opaque. BadInput for a black, damaged or wrongly masked photo."""
-        pixels = read_srgb(one.camera.image, one.upright).pixels
+        pixels = read_srgb(one.camera.photo, one.upright).pixels
         pixels = masked(pixels, one.camera.mask, one.camera.hides, one.upright)
         if _brightest(pixels) < DARKEST_WHITE:
             if pixels.shape[2] == 3 or pixels[..., 3].max() > 0.5:
@@ -145,16 +151,12 @@ def _brightest(pixels: np.ndarray) -> float:
     return max(float((row[..., :3] * row[..., 3:]).max()) for row in pixels)
 
 
-def _rgb(pixels: np.ndarray) -> np.ndarray:
-    return pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
-
-
 def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:
     """The photo [h, w, 1, 3 or 4] as [h, w, 3 or 4]: what the mask does not keep, or `hides` hides, is transparent.
 
     BadInput for a mask of another shape.
     """
-    pixels = _rgb(pixels)
+    pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
     kept = [pixels[..., 3]] if pixels.shape[2] == 4 else []
     if mask:
         kept.append(_fitted(coverage(read_image(mask, upright).pixels), mask, pixels))

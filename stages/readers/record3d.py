@@ -39,7 +39,7 @@ def read(source: Path, images: str) -> SourceScene:
         SourceCamera(
             name=photo.stem, source=path_in_source(photo, root), image=photo, size=size(content, str(path), ("w", "h")),
             world_from_camera=from_opengl(_pose(poses[number], f"{path}: pose {number}")),
-            intrinsics=tuple(map(float, intrinsics[number])),
+            intrinsics=intrinsics[number],
         )
         for number, photo in sorted(photos.items())
     ]  # fmt: skip
@@ -49,13 +49,14 @@ def read(source: Path, images: str) -> SourceScene:
     )
 
 
-def _intrinsics(content: object, count: int, where: str) -> np.ndarray:
-    """[count, 4]: fx, fy, cx, cy."""
+def _intrinsics(content: object, count: int, where: str) -> list[tuple[float, float, float, float]]:
+    """fx, fy, cx, cy of every frame."""
     each = entry_of(content, "perFrameIntrinsicCoeffs", where, [])
     if isinstance(each, list) and len(each) == count:
-        return np.array([row(one, 4, f"{where}: perFrameIntrinsicCoeffs {index}") for index, one in enumerate(each)])
+        rows = (row(one, 4, f"{where}: perFrameIntrinsicCoeffs {index}").tolist() for index, one in enumerate(each))
+        return [(fx, fy, cx, cy) for fx, fy, cx, cy in rows]
     k = row(entry_of(content, "K", where), 9, f"{where}: K").reshape(3, 3).T
-    return np.tile([k[0, 0], k[1, 1], k[0, 2], k[1, 2]], (count, 1))
+    return [(float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))] * count
 
 
 def _pose(values: object, where: str) -> np.ndarray:

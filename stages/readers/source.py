@@ -46,6 +46,13 @@ class SourceCamera:
     depth: Path | None = None
     near_far: tuple[float, float] | None = None
 
+    @property
+    def photo(self) -> Path:
+        """The file; BadInput if none exists."""
+        if self.image is None:
+            raise BadInput(f"{self.source} has no image file; restore it")
+        return self.image
+
 
 @dataclass(frozen=True, eq=False)
 class SourcePoints:
@@ -118,7 +125,8 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
     Raises:
         BadInput: A mask could belong to either of two photos.
     """
-    found, photos = [], {}
+    found: list[SourceCamera] = []
+    photos: dict[Path, Path] = {}
     for one in cameras:
         if one.image:
             hides = one.image.parent / f"{_DYNAMIC}{one.image.stem}.png"
@@ -171,7 +179,7 @@ def unused_masks(cameras: Iterable[SourceCamera], source: Path) -> list[Path]:
     """
     here = [one for one in cameras if one.image]
     folders = {source / "masks": None}
-    for parent in dict.fromkeys(one.image.parent for one in here):
+    for parent in dict.fromkeys(one.photo.parent for one in here):
         if parent.name.startswith("images"):
             folders |= {parent.parent / "masks": None, parent.parent / masks_beside(parent.name): None}
     used = {_below(one.mask) for one in here if one.mask}
@@ -203,7 +211,8 @@ def images_in(folder: Path) -> list[Path]:
 
 def natural(text: str) -> tuple:
     """Return a sort key by which numbers inside names compare as numbers."""
-    parts, digits = [], ""
+    parts: list[tuple[int, int, str]] = []
+    digits = ""
     for letter in text + "\0":
         if letter.isascii() and letter.isdigit():
             digits += letter

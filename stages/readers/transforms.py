@@ -12,7 +12,7 @@ from schemas.errors import BadInput
 from schemas.images import image_size
 from schemas.safe_names import LONGEST_NAME, LONGEST_PATH, printable
 from schemas.safe_reading import MOST_JSON, parsed, read_text
-from stages.readers import transforms_lens, transforms_splits
+from stages.readers import split_lists, transforms_lens
 from stages.readers.source import (
     SourceCamera,
     SourceScene,
@@ -23,15 +23,15 @@ from stages.readers.source import (
     natural,
     with_masks,
 )
+from stages.readers.split_lists import Splits
 from stages.readers.transforms_lens import Numbers
-from stages.readers.transforms_splits import Splits
 from stylerf.geometry.camera_conventions import ROTATION_TOLERANCE, from_mitsuba, from_opengl, with_last_row
 
 _OF_FRAMES = {"file_path", "transform_matrix", "mask_path", *transforms_lens.KEYS}
 _OF_FILES = {
     *("frames", "n_frames", "applied_transform", "applied_scale", "from_mitsuba", "normal_mts_args"),
     *transforms_lens.KEYS,
-    *transforms_splits.KEYS,
+    *split_lists.KEYS,
 }
 # Keys that only configure another program's training, or place the scene, which is placed by its cameras here.
 _NEEDLESS = {
@@ -56,8 +56,8 @@ def read(source: Path, images: str) -> SourceScene:
         remarks += reader.remarks(frames)
     remarks += [f"{count} frames left out: {why}" for why, count in Counter(why for _, why in skipped).items()]
     if not cameras:
-        left_out = f"; {remarks[-1]}" if skipped else ""
-        raise BadInput(f"{source} lists no frames to import{left_out}; repair the list or export it again")
+        why = f"; {remarks[-1]}" if skipped else ""
+        raise BadInput(f"{source} lists no frames to import{why}; repair the list or export it again")
     kind = "nerfstudio" if "nerfstudio" in kinds else "instant-ngp" if "instant-ngp" in kinds else "Blender"
     return SourceScene(
         f"transforms.json of {kind}",
@@ -74,9 +74,9 @@ def lists_of(source: Path) -> list[tuple[Path, str | None]]:
     if source.is_file():
         return [(source, None)]
     if (source / "transforms_train.json").is_file():
-        files = [(source / "transforms_train.json", "train")]
         other = [source / f"transforms_{name}.json" for name in ("test", "val")]
-        return files + [(path, "test") for path in other if path.is_file()][:1]
+        tests = [path for path in other if path.is_file()][:1]
+        return [(source / "transforms_train.json", "train"), *((path, "test") for path in tests)]
     if (source / "transforms.json").is_file():
         return [(source / "transforms.json", None)]
     return [(path, None) for path in sorted(source.glob("transforms*.json"))[:1]]

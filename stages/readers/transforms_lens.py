@@ -78,7 +78,8 @@ def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tup
             f"{numbers.where} has no focal length: neither fl_x nor camera_angle_x nor x_fov, nor fl_y, "
             "camera_angle_y, y_fov; export it with one of them"
         )
-    return (*focals, *(_center(numbers, key) for key in ("cx", "cy"))), tuple(angles)
+    (fx, fy), (across, down) = focals, angles
+    return (fx, fy, _center(numbers, "cx"), _center(numbers, "cy")), (across, down)
 
 
 def _center(numbers: Numbers, key: str) -> float:

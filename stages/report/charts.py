@@ -2,21 +2,22 @@
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from markupsafe import Markup
 
 from schemas.safe_names import printable
-from stages.evaluation.metrics import Row, is_number
-from stages.report.formatting import escape
+from stages.evaluation.metrics import Row, number_in
+from stages.report.pages import escape
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 from stylerf.environment.matplotlib_defaults import FigureCanvasAgg, MaxNLocator, rc_context
 
 INK = "#24292f"  # text and axes; becomes the page's own color when inlined
 BLUE, ORANGE = "#3d85c6", "#d9822b"  # legible on white and on near-black
 LINES = {"held out": "-", "trained on": "--"}  # late in a fit, its validation views join the training views
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {  # the type of matplotlib's keys is newer than the oldest version supported
     "svg.fonttype": "none",  # text stays text: selectable, small, and in the page's own font
     "svg.hashsalt": "stylerf",  # the same chart gives the same bytes
     "text.parse_math": False,  # names may contain dollar signs
@@ -55,7 +56,7 @@ class Chart:
         svg = re.sub(r'\bid="', f'id="{self.name}-', svg)
         svg = re.sub(r'(url\(|href=")#', rf"\1#{self.name}-", svg)
         head, rest = svg.split(">", 1)
-        inches = float(re.search(r' width="([\d.]+)pt"', head)[1]) / 72
+        inches = float(head.partition(' width="')[2].partition("pt")[0]) / 72
         head = re.sub(r' (width|height)="[^"]*"', "", head) + f' style="--inches:{inches:g}"'
         title = f"{self.name}-title"
         label = f'role="img" aria-labelledby="{title}"><title id="{title}">{escape(self.description)}</title>'
@@ -138,7 +139,7 @@ def _ends(points: Sequence[dict]) -> str:
     return " to ".join(dict.fromkeys(texts))
 
 
-def pairs_chart(name: str, title: str, series: dict[str, Sequence[tuple[float, float]]]) -> Chart:
+def pairs_chart(name: str, title: str, series: Mapping[str, Sequence[tuple[float, float]]]) -> Chart:
     """At most two named lines of (frame, value), on one axis from zero."""
     with rc_context(SETTINGS):
         drawing = Drawing(figsize=(8, 3), layout="constrained")
@@ -173,17 +174,15 @@ def evaluation_charts(
     """The charts there is data for: the leading metric per view, quality against time, consistency along the path."""
     charts = []
     key, title, unit = ("nnfm", f"NNFM distance to {style_label}", "") if stylized else ("psnr", "PSNR", "dB")
-    if any(is_number(row.get(key)) for row in rows):
-        labels = [str(row["name"]) for row in rows]
-        values = [float(row[key]) if is_number(row.get(key)) else None for row in rows]
-        charts.append(bar_chart(f"{key}_views", title, unit, labels, values))
+    values = [number_in(row, key) for row in rows]
+    if any(value is not None for value in values):
+        charts.append(bar_chart(f"{key}_views", title, unit, [str(row["name"]) for row in rows], values))
     if curve:
         charts.append(curve_chart("quality_seconds", f"Quality against time: fit of {curve['of']}", curve["points"]))
     series = {}
     for label, words in (("short", "1 frame apart"), ("long", f"{gap} frames apart")):
-        points = [
-            (float(row["frame"]), float(row[f"{label}_rmse"])) for row in pairs if is_number(row.get(f"{label}_rmse"))
-        ]
+        found = [(number_in(row, "frame"), number_in(row, f"{label}_rmse")) for row in pairs]
+        points = [(frame, value) for frame, value in found if frame is not None and value is not None]
         if len(points) > 1:
             series[words] = points
     if series:

@@ -1,42 +1,15 @@
 """The HTML page of an evaluation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from stages.evaluation.metrics import is_number
-from stages.report.charts import Chart
-from stages.report.formatting import clock, count, number
-from stages.report.pages import render_page
-from stages.report.thumbnails import DEPTH_COLORS, ERROR_COLORS, MAX_ERROR, Encoded, css_gradient
+from stages.report.contact_sheet import DEPTH_COLORS, ERROR_COLORS, MAX_ERROR, Pictures, css_gradient
+from stages.report.pages import clock, count, number, render_page
 
 EDIT_TILES = ("background_mse", "background_ratio", "change_lab", "bleeding", "short_rmse")
 STYLE_TILES = ("nnfm", "content_ssim", "palette", "short_rmse", "long_rmse")
 FIT_TILES = ("psnr", "ssim", "lpips", "stlpips", "depth_abs_rel")
-MAX_HEIGHT_REM = 22  # of an image on the contact sheet: portraits would fill the screen otherwise
-
-
-@dataclass(frozen=True)
-class SheetRow:
-    """One view on the contact sheet."""
-
-    heading: str
-    pictures: Sequence[Encoded]
-
-    @property
-    def max_width_rem(self) -> int:
-        """Widest the row may become before an image exceeds MAX_HEIGHT_REM."""
-        aspect = max((picture.width / picture.height for picture in self.pictures), default=1.0)
-        return round(len(self.pictures) * MAX_HEIGHT_REM * aspect)
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """All images of a page. depth_range: the depths at the ends of the depth colors, in scene units."""
-
-    sheet: Sequence[SheetRow]
-    style_image: Encoded | None = None
-    depth_range: tuple[float, float] | None = None
-    charts: Sequence[Chart] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

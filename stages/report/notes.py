@@ -145,7 +145,7 @@ def _note(what: str, why: str) -> dict:
 
 
 def warnings_of(
-    rows: Sequence[Row], pairs: Sequence[Row], stages: Sequence[Made], unmatched: Sequence[str], resized: int
+    rows: Sequence[Row], pairs: Sequence[Row], stages: Sequence[Made], unmatched: list[str], resized: int
 ) -> list[str]:
     """What a reader must know before trusting a metric."""
     found = []

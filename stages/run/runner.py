@@ -102,13 +102,6 @@ def execute(
     the partial run for the next one to resume. After any other fault it is deleted: the same state would fail again.
 
     Args:
-        spec: the stage.
-        run: its function.
-        work: the work folder.
-        name: of the artifact.
-        inputs: artifacts by role.
-        config: options.
-        context: seed, device and progress.
         force: rebuild an artifact that is up to date.
         protect: do not discard a minute's work or more with other options silently: an interrupted run raises
             ArtifactStale, a finished artifact is announced before it is replaced.

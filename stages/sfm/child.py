@@ -9,7 +9,7 @@ import os
 import shutil
 import sys
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from schemas.atomic_write import sync_file, write_json
@@ -41,7 +41,7 @@ def run(job: Job, progress: JobProgress) -> None:
     """Run the steps that no interrupted run has finished; write model/ and result.json to the job's folder."""
     import pycolmap
 
-    from stages.sfm import colmap_database, folding, mapping, photo_copies, quality, silhouettes
+    from stages.sfm import colmap_database, mapping, photo_copies, quality, silhouettes
 
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
@@ -62,7 +62,7 @@ def run(job: Job, progress: JobProgress) -> None:
     pairs = colmap_database.matched_pairs(path)
     found = quality.quality(models, len(used), pairs, colmap_database.keypoints(path), refined)
     if models:
-        must = folding.expected(models[0], pairs, colmap_database.compared_pairs(used, job.matching))
+        must = quality.expected(models[0], pairs, colmap_database.compared_pairs(used, job.matching))
         found = replace(found, silent_share=must.silent_share, pairs_expected=must.count, refuted_share=share)
     refusal, warnings = quality.verdict(found)
     if refusal:
@@ -78,7 +78,7 @@ def run(job: Job, progress: JobProgress) -> None:
     names = sorted(f"{MODEL}/{path.name}" for path in (folder / MODEL).iterdir())
     for name in names:
         sync_file(folder / name)
-    write_json(folder / RESULT, {"copies": every, "figures": found.as_dict(), "model": names})
+    write_json(folder / RESULT, {"copies": every, "figures": asdict(found), "model": names})
     journal_of(folder).add([RESULT, *names])
 
 

@@ -1,10 +1,15 @@
 """COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished.
 
-A damaged database (row_digests.py) is rebuilt.
+A damaged database (see Rows) is rebuilt.
 """
 
+import hashlib
+import json
+import re
+import sqlite3
 from collections.abc import Iterator
-from itertools import groupby
+from contextlib import closing
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +17,120 @@ import pycolmap
 
 from schemas.atomic_write import write_bytes
 from schemas.errors import BadInput
-from stages.sfm.image_pairs import pairs
 from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES, MASKS, Copy
-from stages.sfm.row_digests import Rows
+
+# Above this many photos `auto` takes neighbors only, if the names count frames: all pairs grow with the square.
+MOST_FOR_ALL_PAIRS = 80
+# Neighbors of a frame that it is compared with, and every how many-th frame is a key frame.
+OVERLAP, KEY_FRAME_EVERY = 10, 8
+_NUMBER = re.compile(r"(\d+)(?=\D*$)")
+
+
+def chosen_matching(wanted: str, names: list[str]) -> tuple[str, str]:
+    """Return exhaustive or sequential, and the reason as text. names: file names in order."""
+    if wanted != "auto":
+        return wanted, "as requested"
+    if len(names) <= MOST_FOR_ALL_PAIRS:
+        return "exhaustive", f"{len(names)} photos are few enough to compare all pairs"
+    if _are_frames(names):
+        return "sequential", f"the names of the {len(names)} photos count frames"
+    return "exhaustive", f"the names of the {len(names)} photos do not count frames, so any two may overlap"
+
+
+def _are_frames(names: list[str]) -> bool:
+    found = [match for name in names if (match := _NUMBER.search(name))]
+    if len(found) < len(names):
+        return False
+    stems = {match.string[: match.start()] for match in found}
+    numbers = [int(match.group()) for match in found]
+    steps = [after - before for before, after in pairwise(numbers)]
+    # Dropped frames leave gaps, but most steps of a sampled video are equal.
+    return (
+        len(stems) == 1
+        and all(step > 0 for step in steps)
+        and steps.count(max(steps, key=steps.count)) > len(steps) / 2
+    )
+
+
+def pairs(count: int, matching: str) -> list[tuple[int, int]]:
+    """Index pairs (i < j), near ones first.
+
+    exhaustive: all. sequential: frames up to OVERLAP apart, those 2^k apart, and all pairs of key frames, which close
+    the loop where a walk comes back.
+    """
+    if matching == "exhaustive":
+        return [(i, i + gap) for gap in range(1, count) for i in range(count - gap)]
+    gaps = sorted({*range(1, OVERLAP + 1), *(2**k for k in range(count.bit_length()))})
+    near = [(i, i + gap) for gap in gaps for i in range(count - gap)]
+    keys = range(0, count, KEY_FRAME_EVERY)
+    return near + sorted({(i, j) for i in keys for j in keys if i < j} - set(near))
+
+
+# What is computed row by row, so that a lost row is simply found again.
+COMPUTED = ("keypoints", "descriptors", "matches", "two_view_geometries")
+_GIVEN = ("rigs", "rig_sensors", "cameras", "frames", "frame_data", "images", "pose_priors")
+
+
+class Rows:
+    """The digests in the file at `journal` of the rows of the database at `path`. Lines cut short are passed over."""
+
+    def __init__(self, path: Path, journal: Path) -> None:
+        self._path, self._journal = path, journal
+        self._digests: dict[tuple[str, int], str] = {}
+        if journal.is_file():
+            for line in journal.read_text("utf-8", "replace").splitlines():
+                try:
+                    table, number, digest = json.loads(line)
+                    self._digests[str(table), int(number)] = str(digest)
+                except (ValueError, TypeError, RecursionError):
+                    continue
+
+    def record(self) -> None:
+        """Takes the digests of all rows that have none yet."""
+        with closing(self._open()) as database:
+            fresh = {row: _digest(database, *row) for row in _stored_rows(database) if row not in self._digests}
+        # A line of its own also where an earlier write was cut short.
+        text = "\n" + "".join(json.dumps([*row, digest]) + "\n" for row, digest in fresh.items())
+        with open(self._journal, "a", encoding="utf-8") as stream:
+            stream.write(text)
+        self._digests |= fresh
+
+    def sound(self) -> bool:
+        """Whether all rows with a digest are as they were. Computed rows without one, of a step cut short, are deleted,
+        so that they are computed again."""
+        try:
+            with closing(self._open()) as database:
+                held = set(_stored_rows(database))
+                unknown = held - self._digests.keys()
+                if not self._digests.keys() <= held or any(table in _GIVEN for table, _ in unknown):
+                    return False
+                if any(_digest(database, *row) != digest for row, digest in self._digests.items()):
+                    return False
+                for table, number in unknown:
+                    database.execute(f"DELETE FROM {table} WHERE rowid = ?", (number,))
+                database.commit()
+        except sqlite3.Error:
+            return False
+        return bool(self._digests)
+
+    def _open(self) -> sqlite3.Connection:
+        return sqlite3.connect(f"{self._path.absolute().as_uri()}?mode=rw", uri=True)
+
+
+def _stored_rows(database: sqlite3.Connection) -> Iterator[tuple[str, int]]:
+    for table in (*_GIVEN, *COMPUTED):
+        for (number,) in database.execute(f"SELECT rowid FROM {table} ORDER BY rowid").fetchall():
+            yield table, number
+
+
+def _digest(database: sqlite3.Connection, table: str, number: int) -> str:
+    found = hashlib.sha256()
+    for value in database.execute(f"SELECT * FROM {table} WHERE rowid = ?", (number,)).fetchone():
+        part = value if isinstance(value, bytes) else repr(value).encode("utf-8", "surrogatepass")
+        found.update(b"%d " % len(part) + part)
+    return found.hexdigest()
+
 
 DATABASE, REGISTERED, ROWS = "database.db", "registered", "rows.jsonl"
 # One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
@@ -91,8 +206,8 @@ def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> 
 def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
     """A few at a time, those with masks apart: where COLMAP knows a folder of masks it finds nothing in photos that
     have none there."""
-    for _, alike in groupby(copies, lambda copy: copy.cut_out):
-        alike = list(alike)
+    for _, group in groupby(copies, lambda copy: copy.cut_out):
+        alike = list(group)
         for start in range(0, len(alike), PHOTOS_AT_ONCE):
             yield alike[start : start + PHOTOS_AT_ONCE]
 

@@ -82,7 +82,8 @@ def _copy(folder: Path, journal: Journal, side: int, index: int, photo: str, mas
         if journal.holds(_pictures(copy)):
             return copy
     image = read_srgb(photo)
-    pixels, (width, height) = masked(image.pixels, *(Path(one) if one else None for one in masks), True), image.size
+    mask, hides = (Path(one) if one else None for one in masks)
+    pixels, (width, height) = masked(image.pixels, mask, hides, True), image.size
     kept = pixels[..., 3] if pixels.shape[2] == 4 else np.ones((height, width), np.float32)
     pixels, cut_out = pixels[..., :3] * kept[..., None], bool(kept.min() < KEPT)
     factor = min(1.0, side / max(width, height))

@@ -1,13 +1,95 @@
 """Whether a reconstruction is plausible. COLMAP returns without complaint whatever the result, so it is judged here."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
+from scipy.spatial import cKDTree
 
 from stages.sfm.silhouettes import OUTSIDE
 from stylerf.geometry.camera_conventions import from_colmap
 from stylerf.geometry.cameras import epipolar_distance, essential, largest_parallax
+
+# Two photos must match where at least this share of the points of each lies, in the other, among points that it sees:
+# under NEAR of the picture's diagonal and DEPTH of the distance away, from directions that differ by less than ANGLE
+# degrees, at distances that differ by less than SCALE.
+SHARE, NEAR, DEPTH, ANGLE, SCALE = 0.5, 0.05, 0.1, 20.0, 1.5
+# Such a pair is silent with fewer matches than this share of the points that the poorer photo of the two sees. Sound
+# captures had 0.10 to 0.38 in their worst pair, the other side of a folded lego 0.
+SILENT_SHARE = 0.05
+POINTS_A_PHOTO = 400
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Pairs of photos, by name, that were compared and must match where the poses are right: those that do and those
+    that do not."""
+
+    matched: tuple[tuple[str, str], ...]
+    silent: tuple[tuple[str, str], ...]
+
+    @property
+    def silent_share(self) -> float:
+        """Of the pairs that must match; 0 where there are none."""
+        return len(self.silent) / max(1, self.count)
+
+    @property
+    def count(self) -> int:
+        """How many pairs must match."""
+        return len(self.silent) + len(self.matched)
+
+
+def expected(model, pairs: list, compared: set[tuple[str, str]]) -> Expected:
+    """What must match by the poses of the model. pairs: see matched_pairs; compared: names of the pairs tried."""
+    inliers = {frozenset(pair[:2]): len(pair[2].inlier_matches) for pair in pairs}
+    seen = {model.images[number].name: _Seen(model, model.images[number]) for number in model.reg_image_ids()}
+    matched: list[tuple[str, str]] = []
+    silent: list[tuple[str, str]] = []
+    for first, second in sorted(compared):
+        if first not in seen or second not in seen:
+            continue
+        one, two = seen[first], seen[second]
+        if one.overlap(two) < SHARE or two.overlap(one) < SHARE:
+            continue
+        fewest = SILENT_SHARE * min(one.count, two.count)
+        (silent if inliers.get(frozenset((first, second)), 0) < fewest else matched).append((first, second))
+    return Expected(tuple(matched), tuple(silent))
+
+
+class _Seen:
+    """The points that one photo sees."""
+
+    def __init__(self, model, image) -> None:
+        elements = [element for element in image.points2D if element.has_point3D()]
+        self.count = len(elements)
+        kept = elements[:: max(1, len(elements) // POINTS_A_PHOTO)]
+        self.xyz = np.array([model.points3D[one.point3D_id].xyz for one in kept]).reshape(-1, 3)
+        self.camera = model.cameras[image.camera_id]
+        self.camera_from_world = np.asarray(image.cam_from_world().matrix())
+        self.center = image.projection_center()
+        self.diagonal = np.hypot(self.camera.width, self.camera.height)
+        self.depths = self._local(self.xyz)[:, 2]
+        self.tree = cKDTree(np.array([one.xy for one in kept]).reshape(-1, 2)) if kept else None
+
+    def _local(self, xyz: np.ndarray) -> np.ndarray:
+        return xyz @ self.camera_from_world[:, :3].T + self.camera_from_world[:, 3]
+
+    def overlap(self, other: "_Seen") -> float:
+        """Share of this photo's points that lie among the other's, seen from nearly the same side and distance."""
+        if self.tree is None or other.tree is None:
+            return 0.0
+        mine, theirs = self.xyz - self.center, self.xyz - other.center
+        far, near = np.linalg.norm(mine, axis=1), np.linalg.norm(theirs, axis=1)
+        local = other._local(self.xyz)
+        alike = (mine * theirs).sum(1) > np.cos(np.radians(ANGLE)) * far * near
+        alike &= (local[:, 2] > 0) & (far < SCALE * near) & (near < SCALE * far)
+        if alike.mean() < SHARE:
+            return 0.0
+        distances, nearest = other.tree.query(other.camera.img_from_cam(local[alike]))
+        depths = local[alike, 2]
+        among = (distances < NEAR * other.diagonal) & (np.abs(other.depths[nearest] - depths) < DEPTH * depths)
+        return float(among.sum() / len(self.xyz))
+
 
 FEWEST_PHOTOS = 3
 REFUSED_SHARE, WORRYING_SHARE = 0.5, 0.8
@@ -32,7 +114,7 @@ class Quality:
     between their rays. agreement: share of matched pairs whose own two-view matches fit the poses, of pairs_checked.
     flat_share: share of all matched pairs that a plane or a turn on the spot explains. turned_share: share of
     pairs_checked that a turn alone explains. models: photos of each model. silent_share: of pairs_expected, those of
-    photos that must have matches by their poses and have next to none (folding.py).
+    photos that must have matches by their poses and have next to none.
     refuted_share: of the placed cameras, those that their silhouettes refute (silhouettes.py).
     """
 
@@ -57,16 +139,12 @@ class Quality:
         """Whether photos that have nothing in common were placed at one another's side."""
         return self.silent_share > FOLDED_SHARE and self.silent_share * self.pairs_expected > FOLDED_PAIRS - 0.5
 
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return asdict(self)
-
 
 def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndarray], refined: bool) -> Quality:
     """Figures of models[0] (others only counted); all zero where there is no model. pairs: see matched_pairs."""
     flat = (pycolmap.TwoViewGeometryConfiguration.PLANAR, pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
             pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
-    flat_share = float(np.mean([geometry.config in [int(one) for one in flat] for *_, geometry in pairs] or [0.0]))
+    flat_share = float(np.mean([float(geometry.config in map(int, flat)) for *_, geometry in pairs] or [0.0]))
     if not models:
         return Quality(photos, 0, 0, 0.0, 0.0, 0.0, 0.0, 0, flat_share, 0.0, (), False)
     model = models[0]

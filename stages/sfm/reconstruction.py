@@ -23,7 +23,7 @@ from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, with_masks
 from stages.run.progress import Context
-from stages.sfm.image_pairs import chosen_matching
+from stages.sfm.colmap_database import chosen_matching
 from stages.sfm.job import MODEL, RESULT, Job, journal_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -159,7 +159,7 @@ def _end(child: subprocess.Popen) -> None:
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL) if hasattr(os, "killpg") else child.kill()
         child.wait()
-    for stream in (child.stdin, child.stdout):
+    for stream in filter(None, (child.stdin, child.stdout)):
         stream.close()
 
 

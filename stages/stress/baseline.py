@@ -10,7 +10,7 @@ from schemas.errors import BadInput, UsageError
 from schemas.safe_reading import read_json
 from stages.configs.faults import METHODS
 from stages.evaluation.metrics import is_number
-from stages.stress.success_rates import REMEDIED, Cell
+from stages.stress.outcomes import REMEDIED, Cell
 
 SCHEMA = 1
 # Differences that another machine may cause; dB for fits, shares for the others.
@@ -103,7 +103,8 @@ def compared(before: Sequence[dict], cells: Sequence[Cell]) -> Compared:
     """
     earlier = {(one["method"], one["fault"]): one for one in before}
     now = {(cell.method, cell.fault): cell for cell in cells}
-    worse, better = [], []
+    worse: list[str] = []
+    better: list[str] = []
     both = [key for key in now if key in earlier]
     matched = [key for key in both if now[key].count == earlier[key]["count"]]
     for key in matched:

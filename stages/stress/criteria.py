@@ -124,10 +124,11 @@ def judge_edit(views: Sequence[ViewPair]) -> Verdict:
     """Judge a local edit; the score is 1 - (mean change around the region) / (mean change of it), at least 0."""
     if (broken := _not_finite(views)) is not None:
         return broken
-    shown = [view for view in views if view.mask.any()]
-    if not shown:
+    masked = [(view, view.mask) for view in views if view.mask is not None and view.mask.any()]
+    if not masked:
         return Verdict(False, "no test view shows the region", None, 0)
-    parts = [split_view(view.mask, MARGIN, 0) for view in shown]
+    shown = [view for view, _ in masked]
+    parts = [split_view(mask, MARGIN, 0) for _, mask in masked]
     inside = _change(shown, [part.inside for part in parts])
     around = _change(shown, [part.outside for part in parts])
     content = float(np.mean([content_ssim(view.render, view.photo, _weights(view)) for view in shown]))

@@ -11,13 +11,11 @@ from schemas.canonical_json import digest_of
 from schemas.work_folder import Artifact
 from stages import decompose, distill, edit_dataset, edit_learn, edit_palette, finetune, recolor, region_select
 from stages.configs.decompose import DecomposeConfig, RecolorConfig
-from stages.configs.distill import DistillConfig
-from stages.configs.edit import EditConfig, PaletteConfig
-from stages.configs.extract import ExtractConfig
+from stages.configs.edit import DistillConfig, EditConfig, ExtractConfig, FinetuneConfig, PaletteConfig
 from stages.configs.faults import Fault, Method
-from stages.configs.finetune import FinetuneConfig
 from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
+from stages.configs.stress import Conditions
 from stages.stress.test_views import central_pixel
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
@@ -51,19 +49,20 @@ class EditOptions:
 
 
 def options_of(
-    method: Method, fault: Fault, remedies: bool, conditions: dict, style: dict[str, str] | None
+    method: Method, fault: Fault, remedies: bool, conditions: Conditions, style: dict[str, str] | None
 ) -> EditOptions:
     """Return the options of one trial. style: options naming the style image and its features, None without one."""
     quick, budget = conditions["quick"], conditions["style_budget"]
     timed = budget_of(budget)[0] > 0
     budget = QUICK_FINETUNE if quick and not timed else budget
-    teaching = FinetuneConfig(budget=budget, **({"rays": QUICK_RAYS} if quick else {}))
+    teaching = FinetuneConfig(budget=budget)
+    teaching = replace(teaching, rays=QUICK_RAYS) if quick else teaching
     changes = () if method.edit == "paint" else (PALETTES.get(fault.name, ORDINARY),)
     if method.edit == "palette":
         learning = DecomposeConfig(budget=budget)
         learning = replace(learning, refit_steps=QUICK_REFIT, pixels=QUICK_PIXELS) if quick else learning
         return EditOptions(method, learning, changes, teaching)
-    look = {"recolor": True} if style is None else dict(style)
+    look: dict[str, Any] = {"recolor": True} if style is None else dict(style)
     look |= {"start": "random"} if fault.name == "palette-random" else {}
     look |= (QUICK_PAINT if style else QUICK_RECOLOR) if quick else {}
     look |= REMEDIES_OF_LEARNING if remedies else {}

@@ -22,17 +22,15 @@ from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, WorkFolder
 from stages import corrupt_scene, deform_init, nerf_fit, stylize
 from stages.artifacts.style_images import read_painting
-from stages.configs.corrupt_scene import CorruptSceneConfig
 from stages.configs.deform import DeformConfig
-from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, Fault, Method
+from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, CorruptSceneConfig, Fault, Method
 from stages.configs.fit import FitConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import CONFIGS, StylizeConfig
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 from stages.stress import criteria, edit_trials
-from stages.stress.outcomes import load_outcome, save_outcome
-from stages.stress.success_rates import REMEDIED, REMEDIED_FILE, Outcome, run_name
+from stages.stress.outcomes import REMEDIED, REMEDIED_FILE, Outcome, load_outcome, run_name, save_outcome
 from stages.stress.test_views import side_by_side, view_pairs, view_pairs_of_edit
 from stages.weights import resolve
 from stylerf.corruption import style_images
@@ -44,9 +42,9 @@ NOT_A_METHODS_FAULT = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResource
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
 # Options of --remedies on.
-REMEDIES_OF_FIT = {"opacity_weight": 5e-3, "gradient_clip": 4.0}
-REMEDIES_OF_DEFORM = {"gate": 0.05}
-REMEDIES_OF_STYLE = {"rollbacks": 3, "gradient_clip": 4.0, "min_spread": 0.16}
+REMEDIES_OF_FIT: dict[str, Any] = {"opacity_weight": 5e-3, "gradient_clip": 4.0}
+REMEDIES_OF_DEFORM: dict[str, Any] = {"gate": 0.05}
+REMEDIES_OF_STYLE: dict[str, Any] = {"rollbacks": 3, "gradient_clip": 4.0, "min_spread": 0.16}
 
 
 @dataclass(frozen=True)
@@ -89,9 +87,6 @@ class Stress:
         """Find the features that methods need.
 
         Args:
-            context: seed, device, threads and progress.
-            config: options.
-            source: the scene to corrupt.
             root: WORK/stress.
 
         Raises:
@@ -99,8 +94,10 @@ class Stress:
         """
         self.context, self.config, self.source, self.root = context, config, source, root
         needed = any(METHODS[name].takes_style for name in config.chosen_methods)
-        self.features = resolve.chosen("") if needed else {"features": ""}
-        self.conditions = config.conditions | {
+        self.features: dict[str, Any] = resolve.chosen("") if needed else {"features": ""}
+        self.scale = config.conditions
+        self.conditions: dict[str, object] = {
+            **self.scale,
             "features": self.features["features"],
             "device": context.device,
             "criteria": criteria.REVISION,
@@ -119,7 +116,7 @@ class Stress:
         remedies = {"off": (False,), "on": (True,), "both": (False, True)}[self.config.remedies]
         faults = [FAULTS[name] for name in self.config.chosen_faults]
         faults.sort(key=lambda fault: fault.of_scene and fault.name != CLEAN)  # stable: the clean scene first
-        for seed in range(first, first + self.conditions["seeds"]):
+        for seed in range(first, first + self.scale["seeds"]):
             for fault in faults:
                 for method in (METHODS[name] for name in self.config.chosen_methods):
                     for remedied in remedies if method.faces(fault) else ():
@@ -155,9 +152,10 @@ class Stress:
         method, style, edit = trial.method, None, {}
         if method.style:
             style = replace(self.style_config(trial), style="-")  # known by its digest; a work folder may move
-        specs = (corrupt_scene.SPEC, nerf_fit.SPEC, deform_init.SPEC, stylize.SPEC)
+        specs = [corrupt_scene.SPEC, nerf_fit.SPEC, deform_init.SPEC, stylize.SPEC]
         if method.edit:
-            edit, specs = {"edit": self.edit_options(trial).described()}, (*specs, *edit_trials.SPECS)
+            edit = {"edit": self.edit_options(trial).described()}
+            specs += edit_trials.SPECS
         return digest_of(
             {
                 **edit,
@@ -173,23 +171,24 @@ class Stress:
 
     def fault_config(self, trial: Trial) -> CorruptSceneConfig:
         """Return the config of a trial's scene."""
-        fault, conditions = FAULTS[trial.origin], self.conditions
-        given = {"side": conditions["side"], "views": conditions["views"], "tests": conditions["tests"]}
+        fault, scale = FAULTS[trial.origin], self.scale
+        config = CorruptSceneConfig(
+            fault=fault.name, amount=fault.amount, side=scale["side"], views=scale["views"], tests=scale["tests"]
+        )
         if fault.of == "made":
-            return CorruptSceneConfig(fault=fault.name, amount=fault.amount, **given)
-        source = {"source": str(self.source.path.resolve()), "source_digest": self.source.digest}
-        return CorruptSceneConfig(fault=fault.name, amount=fault.amount, **given, **source)
+            return config
+        return replace(config, source=str(self.source.path.resolve()), source_digest=self.source.digest)
 
     def fit_config(self, trial: Trial) -> FitConfig:
         """Return the config of a trial's fit."""
-        config = FitConfig(budget=self.conditions["budget"], field=trial.method.field, buffers=False)
-        if self.conditions["quick"]:
+        config = FitConfig(budget=self.scale["budget"], field=trial.method.field, buffers=False)
+        if self.scale["quick"]:
             config = replace(config, capacity=QUICK_CAPACITY, samples=QUICK_SAMPLES)
         return replace(config, **REMEDIES_OF_FIT) if trial.remedies else config
 
     def deform_config(self, trial: Trial) -> DeformConfig:
         """Return the config of the deformation that desrf starts from."""
-        config = DeformConfig(steps=QUICK_DEFORM if self.conditions["quick"] else DEFORM_STEPS)
+        config = DeformConfig(steps=QUICK_DEFORM if self.scale["quick"] else DEFORM_STEPS)
         return replace(config, **REMEDIES_OF_DEFORM) if trial.remedies else config
 
     def style_config(self, trial: Trial) -> StylizeConfig:
@@ -198,10 +197,10 @@ class Stress:
         config = CONFIGS[trial.method.style](
             style=str(style.resolve()),
             style_digest=digest,
-            budget=self.conditions["style_budget"],
+            budget=self.scale["style_budget"],
             **self.features,
         )
-        if self.conditions["quick"]:
+        if self.scale["quick"]:
             config = replace(config, refit_steps=QUICK_REFIT)
         return replace(config, **REMEDIES_OF_STYLE) if trial.remedies else config
 
@@ -211,7 +210,7 @@ class Stress:
         if trial.method.takes_style:
             style, digest = self.style_image(trial)
             look = {"style": str(style.resolve()), "style_digest": digest, **self.features}
-        return edit_trials.options_of(trial.method, trial.fault, trial.remedies, self.conditions, look)
+        return edit_trials.options_of(trial.method, trial.fault, trial.remedies, self.scale, look)
 
     def style_image(self, trial: Trial) -> tuple[Path, str]:
         """Return a trial's style image, made if it is missing (with --force, in any case), and its digest.
@@ -220,7 +219,7 @@ class Stress:
         """
         fault = trial.fault if trial.fault.of == STYLE else None
         side = int(fault.amount) if fault else ORDINARY_STYLE
-        if self.conditions["quick"] and fault and fault.name == "style-huge":
+        if self.scale["quick"] and fault and fault.name == "style-huge":
             side //= 4
         name = f"{fault.name if fault else 'ordinary'}-{side}-{trial.seed}-r{style_images.REVISION}.png"
         path = self.root / "styles" / name

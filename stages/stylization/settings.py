@@ -1,4 +1,4 @@
-"""From the options of a stylization to its settings: what `auto`, 0 and -1 stand for, by method and scene."""
+"""From the options of a stylization to its settings (what `auto`, 0 and -1 stand for) and its training."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from schemas.work_folder import PartialArtifact
+from stages.configs.decompose import DecomposeConfig
 from stages.configs.fit import budget_of
 from stages.configs.stylize import (
     COLOR_CELLS,
@@ -16,6 +18,8 @@ from stages.configs.stylize import (
     SnerfConfig,
     StylizeConfig,
 )
+from stages.run.progress import Context
+from stages.run.training_loop import run_training
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
@@ -29,6 +33,7 @@ from stylerf.training.stylize.settings import (
     SnerfSettings,
     StyleSettings,
 )
+from stylerf.training.stylize.trainer import StylizationTrainer
 
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells per pixel width
@@ -175,3 +180,29 @@ def settings_of(
         feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
         **own,
     )
+
+
+def train(
+    trainer: StylizationTrainer,
+    what: str,
+    config: StylizeConfig | DecomposeConfig,
+    partial: PartialArtifact,
+    context: Context,
+    labels: Mapping[str, str],
+) -> None:
+    """Train to the end. what: its name in errors. labels: of phases, where they are not the phases' names."""
+    shown = ""
+    seconds, _ = budget_of(config.budget)
+
+    def report(now: StylizationTrainer) -> None:
+        nonlocal shown
+        state, total = now.state, now.scene.budget.steps
+        if state.phase != shown:
+            shown = state.phase
+            context.progress.start(labels.get(shown, shown), total or seconds, "step" if total else "s")
+        last, note = state.curve[-1] if state.curve else {}, ""
+        if last:
+            note = f"style distance {last['style']:.3f}" if "style" in last else f"squared error {last['mse']:.4f}"
+        context.progress.update(state.step if total else min(state.seconds, now.settings.seconds), note)
+
+    run_training(trainer, what, config.checkpoint_every_seconds, partial, context, report)

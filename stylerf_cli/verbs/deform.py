@@ -4,10 +4,8 @@ from typing import Any
 
 from stages.configs.deform import DeformConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
-NAME = "deform"
-HELP = "give a field a deformation, so that stylization can bend shapes"
 CONFIG = DeformConfig
 
 
@@ -19,11 +17,10 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the deformed field."""
-    made = session.pipeline.deform(session.config, of=args.of, name=session.name, force=session.force)
-    figures = made.manifest.figures
-    result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
+    field = session.pipeline.deform(session.config, of=args.of, name=session.name, force=session.force)
+    figures = field.manifest.figures
     words = (
-        f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s, photos "
+        f"field {field.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s, photos "
         f"{figures['psnr_before']:.2f} -> {figures['psnr_after']:.2f} dB"
     )
-    return session.emit(result, [words, f"  {made.path}"])
+    return session.emit(made("field", field), [words, f"  {field.path}"])

@@ -6,8 +6,6 @@ from stages.configs.demo import DemoConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
-NAME = "demo"
-HELP = "run the whole pipeline on an embedded scene"
 CONFIG = DemoConfig
 NAMELESS = "the demo names its own artifacts"
 

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
 NAME = "distill"
-HELP = "paint an edit into the training photos"
 CONFIG = DistillConfig
 
 
@@ -19,8 +18,7 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the edited scene."""
-    made = session.pipeline.distill(session.config, edit=args.edit, name=session.name, force=session.force)
-    figures = made.manifest.figures
-    result = {"scene": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"scene {made.name}: {figures['pixels']} pixels edited in {figures['views']} photos"
-    return session.emit(result, [words, f"  {made.path}"])
+    scene = session.pipeline.distill(session.config, edit=args.edit, name=session.name, force=session.force)
+    figures = scene.manifest.figures
+    words = f"scene {scene.name}: {figures['pixels']} pixels edited in {figures['views']} photos"
+    return session.emit(made("scene", scene), [words, f"  {scene.path}"])

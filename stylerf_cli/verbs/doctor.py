@@ -14,8 +14,6 @@ from stages.pipeline.resources import usable_threads
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
-NAME = "doctor"
-HELP = "check the installation and say how to get what is missing"
 CONFIG = None
 NAMELESS = "nothing is written"
 

@@ -2,13 +2,11 @@
 
 from typing import Any
 
-from stages.configs.whole_edit import WholeEditConfig
+from stages.configs.edit import WholeEditConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.palette_table import palette_lines
+from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session
 
-NAME = "edit"
-HELP = "select a region, recolor or stylize it, and train the field, in one command"
 CONFIG = WholeEditConfig
 
 

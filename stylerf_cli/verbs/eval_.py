@@ -7,7 +7,6 @@ from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
 NAME = "eval"
-HELP = "measure quality, style, consistency and cost of a field"
 CONFIG = EvaluateConfig
 
 

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from stages.configs.extract import ExtractConfig
+from stages.configs.edit import ExtractConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
 NAME = "extract"
-HELP = "render what the views show of a region, for its edit"
 CONFIG = ExtractConfig
 
 
@@ -22,11 +21,10 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the edit dataset."""
-    made = session.pipeline.extract(
+    edit_dataset = session.pipeline.extract(
         session.config, region=args.region, of=args.of, name=session.name, force=session.force
     )
-    figures = made.manifest.figures
+    figures = edit_dataset.manifest.figures
     hidden = f", hidden in {len(figures['hidden'])}: {' '.join(figures['hidden'][:8])}" if figures["hidden"] else ""
-    result = {"edit_dataset": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"edit dataset {made.name}: {figures['pixels']} pixels in {figures['views']} views{hidden}"
-    return session.emit(result, [words, f"  {made.path}"])
+    words = f"edit dataset {edit_dataset.name}: {figures['pixels']} pixels in {figures['views']} views{hidden}"
+    return session.emit(made("edit_dataset", edit_dataset), [words, f"  {edit_dataset.path}"])

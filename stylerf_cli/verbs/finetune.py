@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from stages.configs.finetune import FinetuneConfig
+from stages.configs.edit import FinetuneConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
 NAME = "finetune"
-HELP = "train a field on an edit"
 CONFIG = FinetuneConfig
 
 
@@ -22,8 +21,9 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the edited field."""
-    made = session.pipeline.finetune(session.config, edit=args.edit, of=args.of, name=session.name, force=session.force)
-    figures = made.manifest.figures
-    result = {"field": made.path, "name": made.name, "figures": figures, "seconds": made.manifest.seconds}
-    words = f"field {made.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s"
-    return session.emit(result, [words, f"  {made.path}"])
+    field = session.pipeline.finetune(
+        session.config, edit=args.edit, of=args.of, name=session.name, force=session.force
+    )
+    figures = field.manifest.figures
+    words = f"field {field.name}: {figures['steps']} steps in {figures['train_seconds']:.0f} s"
+    return session.emit(made("field", field), [words, f"  {field.path}"])

@@ -4,13 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 from stages.configs.fit import FitConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
 if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
     from schemas.work_folder import Artifact
 
-NAME = "fit"
-HELP = "fit a radiance field to the photos"
 CONFIG = FitConfig
 
 
@@ -23,7 +21,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the field, and the path of its buffers."""
     field = session.pipeline.fit(session.config, name=session.name, force=session.force)
     figures = field.manifest.figures
-    result = {"field": field.path, "name": field.name, "figures": figures, "seconds": field.manifest.seconds}
+    result = made("field", field)
     if session.config.buffers and not session.only:
         result["buffers"] = session.pipeline.render_views(field).path
     return session.emit(result, _words(field, figures))

@@ -7,8 +7,6 @@ from stages.configs.pose_import import ImportOptions
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
-NAME = "import"
-HELP = "import photos, with or without camera poses"
 CONFIG = ImportOptions
 
 

@@ -4,10 +4,8 @@ from typing import Any
 
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Session, made
 
-NAME = "render"
-HELP = "render a field along a camera path: EXR with depth, PNG, video"
 CONFIG = RenderConfig
 
 
@@ -21,7 +19,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the frames, and the regions they have masks of."""
     frames = session.pipeline.render(session.config, of=args.of, name=session.name, force=session.force)
     figures, inputs = frames.manifest.figures, frames.manifest.inputs
-    result = {"frames": frames.path, "name": frames.name, "figures": figures, "seconds": frames.manifest.seconds}
+    result = made("frames", frames)
     rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
     speed = f", {rate / 1e3:.0f} thousand rays per second" if rate else ""
     field = next(ref.name for ref in inputs if ref.role == "field")

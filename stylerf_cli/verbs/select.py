@@ -6,8 +6,6 @@ from stages.configs.select import SelectConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
-NAME = "select"
-HELP = "select a region in 3D by pixels, masks, a box or a color"
 CONFIG = SelectConfig
 
 

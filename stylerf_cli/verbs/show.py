@@ -12,8 +12,6 @@ from stylerf_cli.path_arguments import work_around, work_or_artifact
 from stylerf_cli.progress import duration
 from stylerf_cli.session import Session
 
-NAME = "show"
-HELP = "show what a work folder or an artifact holds"
 CONFIG = None
 NAMELESS = "nothing is written"
 SHOWN_FILES = 12

@@ -7,8 +7,6 @@ from stages.configs.stress import StressConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session
 
-NAME = "stress"
-HELP = "test methods under faults: success rates, regressions against a baseline"
 CONFIG = StressConfig
 NAMELESS = "a stress run writes no artifact in WORK"
 

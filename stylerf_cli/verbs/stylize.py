@@ -7,15 +7,14 @@ from typing import Any
 
 from schemas.errors import UsageError
 from stages.configs.decompose import METHOD, PaletteFieldConfig
-from stages.configs.region import RegionConfig
+from stages.configs.edit import RegionConfig
 from stages.configs.stylize import CONFIGS as METHOD_CONFIGS
 from stages.configs.stylize import ArfConfig, refuse_foreign
 from stylerf_cli.arguments import Parser, read_toml
-from stylerf_cli.palette_table import palette_lines
+from stylerf_cli.output import palette_lines
 from stylerf_cli.session import Session
 
 NAME = "stylize"
-HELP = "stylize a scene or a region, or change its palette"
 CONFIG = ArfConfig
 CONFIGS = (*METHOD_CONFIGS.values(), RegionConfig, PaletteFieldConfig)
 WITHIN = "refnpr"  # the only method for whole scenes that also stylizes a region; the default there is LAENeRF

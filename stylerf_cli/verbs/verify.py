@@ -9,8 +9,6 @@ from stylerf_cli.arguments import Parser
 from stylerf_cli.path_arguments import work_or_artifact
 from stylerf_cli.session import Session
 
-NAME = "verify"
-HELP = "check every file of an artifact or a work folder against its digest"
 CONFIG = None
 NAMELESS = "nothing is written"
 

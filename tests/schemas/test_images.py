@@ -8,7 +8,7 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from schemas import images, read_limit
+from schemas import images, safe_reading
 from schemas.errors import BadInput, OutOfResources
 from schemas.images import (
     image_channels,
@@ -244,14 +244,14 @@ def test_an_image_over_the_memory_limit_is_refused_before_decoding(tmp_path, mon
     paths = [store(tmp_path / f"a.{suffix}", np.zeros((900, 1000, 3), np.uint8)) for suffix in ("png", "jp2", "webp")]
     for path in paths:
         assert read_image(path).size == (1000, 900)
-    monkeypatch.setattr(read_limit, "LEAST", 0)
-    read_limit.set_allowance(lambda: 10_000_000)  # 900 x 1000 x 3 x 4 bytes are 10.8 MB
+    monkeypatch.setattr(safe_reading, "LEAST", 0)
+    safe_reading.set_allowance(lambda: 10_000_000)  # 900 x 1000 x 3 x 4 bytes are 10.8 MB
     try:
         for path in paths:
             with pytest.raises(OutOfResources, match="1000x900"):
                 read_image(path)
     finally:
-        read_limit.set_allowance(None)
+        safe_reading.set_allowance(None)
 
 
 def test_a_large_picture_is_decoded_once(tmp_path):

@@ -10,16 +10,21 @@ import torch
 
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, WorkFolder
-from stages.artifacts.edit import Edit, columns_and_shares, load_edit, save_edit, told_after
-from stages.artifacts.edit_views import load_edit_views, save_edit_views
+from stages.artifacts.edit import (
+    Edit,
+    columns_and_shares,
+    load_edit,
+    load_edit_views,
+    save_edit,
+    save_edit_views,
+    told_after,
+)
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
-from stages.artifacts.region import load_region, save_region
-from stages.artifacts.region_masks import regions_among
+from stages.artifacts.region import load_region, regions_among, save_region
 from stages.artifacts.report import read_report
-from stages.artifacts.scene import EDIT_TARGETS, load_scene
-from stages.artifacts.scene_space import space_of
+from stages.artifacts.scene import EDIT_TARGETS, load_scene, space_of
 from stages.comparison.runs import runs_of
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stages.distill import _edited
 from stages.evaluation.test_views import FrameViews
 from stages.finetune import edited_pixels

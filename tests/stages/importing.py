@@ -6,7 +6,7 @@ from schemas.scene import Scene, read_scene
 from schemas.work_folder import Artifact, WorkFolder
 from stages import pose_import
 from stages.configs.pose_import import ImportOptions
-from stages.pipeline.importing import import_config
+from stages.pipeline.prerequisites import import_config
 from stages.run.progress import Context, Silent
 from stages.run.runner import execute
 

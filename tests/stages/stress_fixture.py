@@ -5,7 +5,7 @@ import numpy as np
 from schemas.images import write_png
 from schemas.scene import Bounds, Scene, View, as_matrix, write_scene
 from schemas.work_folder import Artifact, WorkFolder
-from stages.stress.success_rates import Outcome
+from stages.stress.outcomes import Outcome
 from stylerf.procedural.still_life import dome_cameras
 from tests.stages.evaluation_fixture import camera_entry, commit
 

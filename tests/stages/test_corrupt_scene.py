@@ -8,8 +8,7 @@ from schemas.errors import ArtifactStale, BadInput
 from schemas.work_folder import WorkFolder
 from stages import corrupt_scene
 from stages.artifacts.scene import load_scene
-from stages.configs.corrupt_scene import CorruptSceneConfig
-from stages.configs.faults import ALL_FAULTS, FAULTS, MADE, SCENE
+from stages.configs.faults import ALL_FAULTS, FAULTS, MADE, SCENE, CorruptSceneConfig
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.corruption import photos

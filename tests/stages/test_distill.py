@@ -7,7 +7,7 @@ from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, WorkFolder
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
-from stages.configs.distill import DistillConfig
+from stages.configs.edit import DistillConfig
 from stylerf.editing.extraction import EditView
 from stylerf.fields.palette_edits import PaletteEdits
 from tests.resealing import reseal

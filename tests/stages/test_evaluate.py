@@ -12,9 +12,9 @@ from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluate import pinned
 from stages.evaluation.path_consistency import PathConsistency, pairs_of
 from stages.evaluation.perceptual_metrics import PerceptualMetrics
-from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.test_views import SceneViews
 from stages.evaluation.view_metrics import measure_content
 from stages.run.progress import Context

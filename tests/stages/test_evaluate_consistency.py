@@ -11,10 +11,10 @@ from schemas.errors import BadInput
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import CONSISTENCY, EvaluateConfig
+from stages.evaluate import pinned
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.path_consistency import METRICS, PathConsistency
 from stages.evaluation.perceptual_metrics import PerceptualMetrics
-from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.test_views import FrameViews
 from stages.run.progress import Context
 from stages.run.runner import execute

@@ -16,8 +16,8 @@ from stages import evaluate
 from stages.artifacts.field import save_field
 from stages.artifacts.region import save_region
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluate import pinned
 from stages.evaluation import region_masks as mask_module
-from stages.evaluation.pinned_inputs import pinned
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.editing.edit_grid import Region

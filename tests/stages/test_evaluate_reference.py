@@ -12,8 +12,8 @@ from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.artifacts.provenance import edit_behind
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluate import pinned
 from stages.evaluation import reference_metrics
-from stages.evaluation.pinned_inputs import pinned
 from stages.evaluation.reference_metrics import References, measure_robustness
 from stages.evaluation.test_views import FrameViews, SceneViews
 from stages.evaluation.view_metrics import ViewRow

@@ -11,8 +11,7 @@ from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
-from stages.evaluation.perceptual_metrics import style_file
-from stages.evaluation.perceptual_networks import StyleImage, perceptual_networks
+from stages.evaluation.perceptual_metrics import StyleImage, perceptual_networks, style_file
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.weights import resolve

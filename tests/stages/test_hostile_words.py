@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from schemas.images import write_png
-from stages.comparison.cost_charts import comparison_charts
+from stages.comparison.page import comparison_charts
 from stages.comparison.runs import Run, RunMetric
 from stages.evaluation.metrics import write_csv
 from stages.report.charts import bar_chart, pairs_chart
-from stages.report.formatting import escape
-from stages.stress.outcomes import FOLDER, load_outcome, save_outcome
+from stages.report.pages import escape
+from stages.stress.outcomes import FOLDER, Outcome, cells_of, load_outcome, save_outcome
 from stages.stress.page import build_page
-from stages.stress.success_rates import Outcome, cells_of
 
 HOSTILE = "m$\\frac$q <b>&\"'\x1b[31m\u202e"
 

@@ -12,7 +12,7 @@ from stages.configs import flags_of, option
 from stages.configs.render import RenderConfig
 from stylerf_cli.arguments import Parser, add_common, add_config
 from stylerf_cli.main import main
-from stylerf_cli.options import Options
+from stylerf_cli.session import Options
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 

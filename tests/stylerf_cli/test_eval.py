@@ -78,7 +78,7 @@ def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
 def test_other_networks_measure_anew(work, renderer, capsys, monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "stages.evaluation.pinned_inputs.available_networks", lambda *given: asked.append(given) or f"n{len(asked)}"
+        "stages.evaluate.available_networks", lambda *given: asked.append(given) or f"n{len(asked)}"
     )
     for number in (1, 2):
         result(capsys, work.root)

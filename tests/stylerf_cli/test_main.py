@@ -1,7 +1,6 @@
 """The front door: exit codes, one line per fault, one JSON object, and an instant --help."""
 
 import errno
-import importlib
 import json
 import os
 import signal
@@ -63,8 +62,6 @@ LIGHT = {verb: {"torch"} for verb in ("compare", "show", "verify")}  # these rea
 
 @pytest.mark.parametrize("verb", SHIPPED)
 def test_every_verb_keeps_the_contract_and_helps_without_torch(verb):
-    module = importlib.import_module(SHIPPED[verb][0])
-    assert (module.NAME, module.HELP) == (verb, SHIPPED[verb][1])
     code = (
         f"import sys; from stylerf_cli.main import main; code = main(['{verb}', '--help-all'])\n"
         f"heavy = {LIGHT.get(verb, {'torch', 'numpy'})} & set(sys.modules)\n"
@@ -258,7 +255,7 @@ def test_an_interruption_that_leaves_something_half_built_says_one_line(tmp_path
     """A destructor may then complain, or the interruption may fall into one, where Python would drop it."""
     (tmp_path / "delicate_verb.py").write_text(
         "import signal, time\n"
-        "HELP, CONFIG = 'break', None\n"
+        "CONFIG = None\n"
         "def add_arguments(parser): pass\n"
         "class InConstructor:\n"
         "    def __init__(self):\n"

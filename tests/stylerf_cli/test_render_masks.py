@@ -15,8 +15,7 @@ from schemas.images import read_image
 from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import render as stage
 from stages.artifacts.field import load_field
-from stages.artifacts.region import save_region
-from stages.artifacts.region_masks import channels_of
+from stages.artifacts.region import channels_of, save_region
 from stylerf.editing.edit_grid import Region
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays

@@ -5,11 +5,10 @@ import argparse
 import pytest
 
 from schemas.errors import ArtifactStale
-from schemas.read_limit import allowance
+from schemas.safe_reading import allowance
 from stages.run.runner import Spec
 from stylerf_cli.arguments import Parser, add_common
-from stylerf_cli.options import Options
-from stylerf_cli.session import Session
+from stylerf_cli.session import Options, Session
 from tests.stages import toy_stage
 from tests.stages.toy_stage import ToyConfig
 

@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from stages.configs import option
 from tests.stages import toy_stage
 
-NAME = "toy"
-HELP = "make a toy"
-
 
 @dataclass(frozen=True)
 class CONFIG:

@@ -14,7 +14,8 @@ from schemas.scene import Bounds, Scene, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import distill, finetune
-from stages.artifacts.scene import EDIT_TARGETS, EXPOSURE_STOPS, load_scene, view_index
+from stages.artifacts.scene import EDIT_TARGETS, EXPOSURE_STOPS, FOCUS, load_scene, space_of, view_index
+from stylerf.geometry.cameras import Camera
 from stylerf.srgb import exposed
 from tests.resealing import reseal
 from tests.stages.evaluation_fixture import commit
@@ -170,3 +171,29 @@ def test_a_number_that_is_no_views_name_is_no_views_place_either():
         view_index(scene, "0012", "--at")
     with pytest.raises(BadInput, match="there is no view '12'"):
         view_index(scene, "12", "--at")
+
+
+def scene(layout: str, centers, box=((-1, -1, -1), (1, 1, 1)), near: float = 0.5) -> SimpleNamespace:
+    cameras = []
+    for place, center in enumerate(centers):
+        pose = np.eye(4)
+        pose[:3, 3] = center
+        cameras.append(Camera(f"c{place}", 40, 30, 40.0, 40.0, 20.0, 15.0, pose))
+    about = SimpleNamespace(layout_reason="made up")
+    return SimpleNamespace(layout=layout, scene=about, cameras=cameras, bounds=Bounds(box, near, 10.0))
+
+
+def test_half_the_cube_of_an_unbounded_scene_covers_the_cameras_focus():
+    space, _ = space_of(scene("unbounded", [(0, 0, -1), (1, 0, 0)]), "auto")
+    assert space.kind == "contraction" and 0 < FOCUS < 1
+    np.testing.assert_allclose(space.warp([[FOCUS, 0, 0], [-FOCUS, 0, FOCUS]]), [[0.75, 0.5, 0.5], [0.25, 0.5, 0.75]])
+
+
+def test_an_object_contracted_keeps_its_whole_box():
+    space, _ = space_of(scene("object", [(0, 0, -3)], ((-2, -1, -1), (2, 1, 1))), "contraction")
+    np.testing.assert_allclose(space.warp([[2, 0, 0], [0, 1, 0]]), [[0.75, 0.5, 0.5], [0.5, 0.75, 0.5]])
+
+
+def test_a_frustum_knows_how_far_its_views_are_apart():
+    space, _ = space_of(scene("forward", [(-0.1, 0, 0), (0.2, 0.1, 0.7)]), "auto")
+    assert space.kind == "frustum" and space.parameters[3] == pytest.approx(0.3 / 0.5)

@@ -7,8 +7,7 @@ import pytest
 
 from schemas import partial_artifact
 from schemas.work_folder import WorkFolder
-from stages.comparison.cost_charts import comparison_charts, group_style
-from stages.comparison.page import build_page, rows_of
+from stages.comparison.page import build_page, comparison_charts, group_style, rows_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
 from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, runs_of, thread_mismatches
 from tests.stages import comparison_fixture as runs

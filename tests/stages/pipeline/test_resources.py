@@ -7,10 +7,10 @@ import sys
 import pytest
 
 from schemas.errors import UsageError
-from schemas.read_limit import LEAST, allowance
+from schemas.safe_reading import LEAST, allowance
 from stages.pipeline import resources
 from stages.pipeline.resources import claim, resolved_device
-from stages.run import cgroups
+from stages.run import memory
 from stages.run.memory import free
 from tests.conftest import REPOSITORY
 
@@ -94,6 +94,6 @@ def test_one_image_may_take_what_the_run_may():
 )
 def test_threads_follow_quota_and_launched_processes(monkeypatch, quota, processes, expected):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(16), raising=False)
-    monkeypatch.setattr(cgroups, "cores", lambda: quota)
+    monkeypatch.setattr(memory, "cores", lambda: quota)
     monkeypatch.setenv("LOCAL_WORLD_SIZE", str(processes))
     assert resources.usable_threads() == expected

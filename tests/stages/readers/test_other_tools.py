@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
+from stages.pose_import import digest_of_source
 from stages.readers import found_in
-from stages.readers.digest import digest_of_source
 from tests.stages import dots
 from tests.stages.dots import FOCAL, HEIGHT, WIDTH
 from tests.stages.importing import Said, imported, scene_of

@@ -14,8 +14,8 @@ from stages import region_select
 from stages.artifacts.scene import load_scene
 from stages.artifacts.style_images import read_painting
 from stages.evaluation.region_masks import resized_mask
-from stages.pipeline.importing import import_config
-from stages.readers.digest import digest_of_source
+from stages.pipeline.prerequisites import import_config
+from stages.pose_import import digest_of_source
 from stages.readers.photo_folder import photos_of
 from stages.readers.source import find_image
 from tests.stages.importing import Said, imported, scene_of

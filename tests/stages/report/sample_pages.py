@@ -1,24 +1,24 @@
 """One page each of eval, compare and stress, with everything that can be on it, made without computing anything."""
 
 import copy
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from schemas.images import write_png
 from stages.comparison import page as comparison_page
-from stages.comparison.cost_charts import comparison_charts
+from stages.comparison.page import comparison_charts
 from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, Gap, Run, RunMetric
 from stages.evaluation.metric_definitions import BY_KEY, DEFINITIONS
 from stages.evaluation.metrics import summarize
 from stages.report import evaluation_page
 from stages.report.charts import bar_chart, curve_chart, pairs_chart
-from stages.report.evaluation_page import Pictures, SheetRow
-from stages.report.thumbnails import Picture, encode
+from stages.report.contact_sheet import Picture, Pictures, SheetRow, encode
 from stages.stress import page as stress_page
 from stages.stress.baseline import Compared
-from stages.stress.heat_map import heat_map
-from stages.stress.success_rates import cells_of
+from stages.stress.outcomes import cells_of
+from stages.stress.page import heat_map
 from tests.stages.stress_fixture import outcome
 
 REPORT = {
@@ -46,7 +46,7 @@ def report_with_all_metrics() -> dict:
     values = {metric.key: 0.123456 + i for i, metric in enumerate(DEFINITIONS)}
     facts = {"gap": 7, "style_label": "the style image"}
     metrics = summarize([{"name": "a", **values}, {"name": "b", **values}], facts, {"nnfm": {"the photos": 9.5}})
-    report["metrics"] = [metric.as_json() for metric in metrics]
+    report["metrics"] = [asdict(metric) for metric in metrics]
     return report
 
 

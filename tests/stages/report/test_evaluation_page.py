@@ -2,8 +2,9 @@
 
 import html
 
-from stages.report.evaluation_page import Pictures, build_page
-from stages.report.formatting import number
+from stages.report.contact_sheet import Pictures
+from stages.report.evaluation_page import build_page
+from stages.report.pages import number
 from tests.stages.report.sample_pages import REPORT, pictures, report_with_all_metrics
 
 

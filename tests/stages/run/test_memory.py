@@ -4,7 +4,7 @@ import mmap
 
 import pytest
 
-from stages.run import cgroups, memory
+from stages.run import memory
 from stages.run.memory import available_bytes, bytes_of, free, in_words, used
 
 
@@ -60,8 +60,8 @@ def groups(monkeypatch, tmp_path):
             (tmp_path / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / "tree" / name).write_text(content + "\n")
 
-    monkeypatch.setattr(cgroups, "ROOT", tmp_path / "tree")
-    monkeypatch.setattr(cgroups, "OWN", tmp_path / "own")
+    monkeypatch.setattr(memory, "CGROUPS", tmp_path / "tree")
+    monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "own")
     return make
 
 
@@ -102,4 +102,4 @@ def test_a_limit_of_any_group_around_the_process_counts(groups, own, folder, nam
 )
 def test_a_quota_of_processors_time_counts(groups, own, files, cores):
     groups(own, files)
-    assert cgroups.cores() == cores
+    assert memory.cores() == cores

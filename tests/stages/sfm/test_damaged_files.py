@@ -14,8 +14,8 @@ from schemas.canonical_json import file_sha256
 from schemas.images import write_png
 from stages.run.progress import Context
 from stages.sfm import colmap_database, photo_copies, reconstruction
+from stages.sfm.colmap_database import Rows
 from stages.sfm.job import Job
-from stages.sfm.row_digests import Rows
 from tests.stages.importing import Said
 from tests.stages.photo_room import walk, write_photos
 

@@ -19,7 +19,7 @@ from schemas.errors import BadInput
 from schemas.images import read_image, to_uint8, write_png
 from stages.artifacts.scene import load_scene
 from stages.run.progress import Context, Silent
-from stages.sfm import colmap_database, folding, photo_copies, quality, reconstruction
+from stages.sfm import colmap_database, photo_copies, quality, reconstruction
 from stages.sfm.colmap_database import keypoints, matched_pairs
 from stages.sfm.job import Job, JobProgress
 from tests.conftest import REPOSITORY
@@ -287,13 +287,13 @@ def test_photos_side_by_side_without_matches_are_found_out(finished):
     pairs = matched_pairs(finished / "database.db")
     names = [f"{number:05d}.jpg" for number in range(8)]
     compared = {(a, b) for a in names for b in names if a < b}
-    sound = folding.expected(model, pairs, compared)
+    sound = quality.expected(model, pairs, compared)
     assert sound.silent == () and sound.count >= 8
     halves = [pair for pair in pairs if (pair[0] < "00004.jpg") == (pair[1] < "00004.jpg")]
-    folded = folding.expected(model, halves, compared)
+    folded = quality.expected(model, halves, compared)
     assert set(folded.silent) == {(a, b) for a, b in sound.matched if a < "00004.jpg" <= b}
     # Pairs that nobody compared tell nothing.
-    assert folding.expected(model, halves, {pair[:2] for pair in halves}).silent == ()
+    assert quality.expected(model, halves, {pair[:2] for pair in halves}).silent == ()
     told = {"photos": 8, "registered": 8, "points": 900, "error_px": 0.4, "track_length": 4.0, "parallax_deg": 20.0}
     told |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (8,)}
     for must in (sound, folded):

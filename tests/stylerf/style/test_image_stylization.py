@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from stages.weights.formats import wct_decoder
+from stages.weights.sources import wct_decoder
 from stylerf.style.feature_extractor import FeatureExtractor, resized
 from stylerf.style.image_stylization import Decoder, ImageOptimization, adain, adain_picture, painted
 from tests.stylerf.style.small_trunk import picture

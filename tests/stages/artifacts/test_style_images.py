@@ -9,7 +9,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from stages.artifacts.references import digest_of, read_references, training_view
+from stages.artifacts.style_images import digest_of, read_references, training_view
 from stages.configs.stylize import CONFIGS, RefNprConfig, SnerfConfig
 from stages.stylization.settings import coarse_layers, image_layers, image_loss, match_of, reference_layers, settings_of
 from stylerf.style.feature_extractor import LAYERS, layers_of
