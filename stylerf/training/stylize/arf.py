@@ -40,9 +40,6 @@ class ViewLoss:
         stride: int | None = None,
         around: int = 0,
     ) -> None:
-        if scene.problem.style_image is None:
-            raise InvalidValue("the style loss needs a style image")
-        self.style_image = scene.problem.style_image
         self.scene, self.extractor, self.around = scene, extractor, around
         self.device = extractor.input_scale.device
         s = scene.settings
@@ -59,13 +56,15 @@ class ViewLoss:
     @property
     def objective(self) -> StyleObjective:
         """The loss at the present feature scale; features of the style image are computed at first use."""
-        scene, s = self.scene, self.scene.settings
+        scene, s, style_image = self.scene, self.scene.settings, self.scene.problem.style_image
+        if style_image is None:
+            raise InvalidValue("the style loss needs a style image")
         scale = s.feature_scale / 2 if scene.budget.progress < s.coarse else s.feature_scale
         if self._objective is None or self._objective.scale != scale:
             self._content = self._new_cache()  # at another scale
             size = (scene.cameras[0].height, scene.cameras[0].width)
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
-            self._objective = OBJECTIVES[s.loss](self.extractor, self.style_image, size, *options, self.around)
+            self._objective = OBJECTIVES[s.loss](self.extractor, style_image, size, *options, self.around)
         return self._objective
 
     def content(self, view: int) -> Content | None:
