@@ -107,7 +107,7 @@ def random_field(vertices: int, kind: str = "vm"):
     from stylerf.fields.occupancy_grid import OccupancyGrid
     from stylerf.fields.radiance_field import RadianceField
     from stylerf.geometry.space_warp import SpaceWarp
-    from stylerf.training.fit.capacity_levels import Capacity, Kinds, first_parts
+    from stylerf.training.fit.settings import Capacity, Kinds, first_parts
 
     generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
     of_color, _, head = kind.partition("-")

@@ -151,8 +151,8 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     from stages.configs.fit import FitConfig
     from stages.nerf_fit import _settings
     from stages.run.progress import Context, Silent
-    from stylerf.training.fit.capacity_levels import CapacityLevel
     from stylerf.training.fit.fitter import Fitter
+    from stylerf.training.fit.settings import CapacityLevel
 
     scene = load_scene(WorkFolder(work).find("scene", "main"))
     space = space_of(scene, "auto")[0]

@@ -17,8 +17,7 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_grid import Region
-from stylerf.editing.edit_views import EditView
-from stylerf.editing.extraction import Extraction, Seen, seen_of_view
+from stylerf.editing.extraction import EditView, Extraction, Seen, seen_of_view
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp

@@ -20,7 +20,7 @@ from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import resumed, run_training
 from stages.weights.resolve import digests_of_files, resolve
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import EditWeights
 from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue

@@ -19,9 +19,16 @@ from stages.run.training_loop import resumed, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine
-from stylerf.training.fit.capacity_levels import LEVELS, CapacityLevel, Kinds, capacity_at, first_parts, levels_for
 from stylerf.training.fit.fitter import Fitter
-from stylerf.training.fit.settings import FitSettings
+from stylerf.training.fit.settings import (
+    LEVELS,
+    CapacityLevel,
+    FitSettings,
+    Kinds,
+    capacity_at,
+    first_parts,
+    levels_for,
+)
 
 SPEC = Spec(stage="nerf_fit", verb="fit", revision=15, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches

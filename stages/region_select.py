@@ -48,7 +48,7 @@ from stylerf.editing.selection import (
 from stylerf.fields.packed_surface import cells_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside
 
 SPEC = Spec(
     stage="region_select", verb="select", revision=3, writes="region",

@@ -32,8 +32,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.camera_paths import PATHS, path_camera
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.view import RenderedView, render_view
-from stylerf.rendering.visualization import depth_picture, displacement_picture
+from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture, render_view
 
 SPEC = Spec(
     stage="render", verb="render", revision=2, writes="frames",

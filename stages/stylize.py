@@ -42,11 +42,10 @@ from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.backends import style_backend
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import Arf
-from stylerf.training.stylize.method import StyleMethod
 from stylerf.training.stylize.refnpr import RefNpr
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
 from stylerf.training.stylize.snerf import Snerf
-from stylerf.training.stylize.trainer import StylizationTrainer
+from stylerf.training.stylize.trainer import StyleMethod, StylizationTrainer
 
 
 def _outside(config: StylizeConfig) -> dict[str, str]:

@@ -15,7 +15,7 @@ import pytest
 
 from schemas.errors import UsageError
 from stages.configs.stylize import COLOR_CELLS
-from stylerf.training.fit.capacity_levels import LEVELS
+from stylerf.training.fit.settings import LEVELS
 from stylerf_cli.verbs import VERBS
 from tests.conftest import REPOSITORY
 

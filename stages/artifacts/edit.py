@@ -14,7 +14,7 @@ from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact
 from stages.configs.edit import PaletteConfig, color_of, number_of
 from stylerf import validation
-from stylerf.editing.edit_views import EditView, check_pixels
+from stylerf.editing.extraction import EditView, check_pixels
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_edits import PaletteEdits, tinted

@@ -18,8 +18,7 @@ from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.view import render_view
-from stylerf.training.common.pixels import STRETCH, Pixels
-from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
+from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, Pixels, RayDataset
 
 # Memory of training besides its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
 # thread a buffer of its gradients.

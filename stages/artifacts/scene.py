@@ -16,7 +16,7 @@ from schemas.scene import POINTS_FILE, SCENE_FILE, Bounds, Scene, View, read_sce
 from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, sources_of
 from stylerf import validation
-from stylerf.editing.edit_views import check_pixels
+from stylerf.editing.extraction import check_pixels
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp

@@ -19,9 +19,8 @@ from stylerf.editing.edit_grid import Region
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_registration import best_reference, few_points
-from stylerf.style.adain import Decoder, adain_picture
-from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_sizes import resized, style_picture
+from stylerf.style.feature_extractor import FeatureExtractor, resized, style_picture
+from stylerf.style.image_stylization import Decoder, adain_picture
 
 
 def read_colors(path: Path) -> np.ndarray:

@@ -20,10 +20,9 @@ from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
-from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.feature_extractor import FeatureExtractor, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
-from stylerf.style.image_sizes import fitted
-from stylerf.style.losses import by_block, gram_matrix, nearest_neighbor_distance, position_weights
+from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
 
 # conv3_1 to conv3_3 concatenated, as in ARF; conv2_2, just before the second pooling, where SIFID takes its features.
 LAYERS = ("conv2_2", "conv3")

@@ -7,10 +7,8 @@ import numpy as np
 
 from stages.artifacts.scene import spread
 from stylerf.geometry.resampling import shrunk
-from stylerf.metrics.image_shift import shift_between
-from stylerf.training.common.pixels import STRETCH
-from stylerf.training.common.ray_dataset import HIDDEN
-from stylerf.training.fit.engine import background_of, over, target
+from stylerf.metrics.image_quality import shift_between
+from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, background_of, over, target
 from stylerf.training.fit.fitter import Fitter
 
 EVEN_VIEWS, WORST_VIEWS = 8, 3  # checked: views evenly spread, and those with the largest error

@@ -17,7 +17,7 @@ from stages.evaluation.test_views import FrameViews, Render
 from stages.run.progress import Context
 from stylerf.editing.edit_grid import march_view
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside
 
 REGION_THRESHOLD = 0.5  # coverage above which a pixel belongs to the region
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr")

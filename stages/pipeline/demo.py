@@ -111,7 +111,7 @@ def _write_sheet(path: Path, photos: Path, fit: Artifact, stylized: Artifact) ->
     from schemas.frames import read_frames
     from schemas.images import read_image, to_uint8, write_png
     from stages.pipeline.demo_scene import PAINTING
-    from stylerf.rendering.visualization import sheet_of
+    from stylerf.rendering.view import sheet_of
 
     views = read_frames(fit.path).views[:4]
     taken = [read_image(photos / "test" / f"{view.name}.png").pixels for view in views]

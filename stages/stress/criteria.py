@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from stylerf.metrics.frechet import palette_distance
 from stylerf.metrics.image_quality import content_ssim, explained_structure, psnr
 from stylerf.metrics.local_edit import mean_change, split_view
-from stylerf.metrics.palette_distance import palette_distance
 
 LEAST_GAIN = 3.0  # dB
 LEAST_CONTENT = 0.2

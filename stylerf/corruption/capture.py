@@ -19,7 +19,6 @@ def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.r
         degrees: Standard deviation of each component of the rotation vector, about the camera's center.
         share: Standard deviation of each component of the translation, as a fraction of the cameras' median distance
             from their focus.
-        generator: Source of randomness.
     """
     poses = np.asarray(poses, np.float64)
     turns = np.radians(degrees) * generator.standard_normal((len(poses), 3))

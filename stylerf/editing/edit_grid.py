@@ -16,7 +16,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256
 SOLID = 0.02  # opacity of a cell from which it can belong to an object

@@ -10,10 +10,71 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from stylerf.editing.edit_grid import Region, march_view
-from stylerf.editing.edit_views import EditView
+from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import ends_inside
+
+
+@dataclass(frozen=True, eq=False)
+class EditView:
+    """The n pixels of one view that show the region; all arrays but `pixels` are float32.
+
+    Attributes:
+        view: Index of the scene's view.
+        width, height: Of the view, pixels.
+        pixels: [n] int64, row-major indices, ascending.
+        x: [n, 3] ends of the rays, in the cube.
+        along: [n, 3] change of x if the ray ends one jitter farther.
+        directions: [n, 3] unit, from the camera.
+        target: [n, 3] the photo, sRGB 0..1.
+        weight: [n] alpha of the field.
+        inside: [n] alpha_E, the part of alpha inside the region.
+        depth: [n] mean distance along the ray within the region, scene units.
+        through: [n] sum(w t) over the whole ray, without its opaque background.
+        transition: [n] lambda, 1 at the region's border with its surroundings, 0 far from it.
+        edges: [n, 2] geometry edges zeta >= 0 to the pixel below and to the pixel on the right.
+    """
+
+    view: int
+    width: int
+    height: int
+    pixels: np.ndarray
+    x: np.ndarray
+    along: np.ndarray
+    directions: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+    inside: np.ndarray
+    depth: np.ndarray
+    through: np.ndarray
+    transition: np.ndarray
+    edges: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the pixels' bounding box, both ends included (LAENeRF's code drops the last)."""
+        rows, columns = np.divmod(self.pixels, self.width)
+        return slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+
+    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return (upper, lower, left, right): indices into `pixels` of all vertical and horizontal neighbors."""
+        place = np.full(self.width * (self.height + 1) + 1, -1, np.int64)
+        place[self.pixels] = np.arange(len(self.pixels))
+        below = place[self.pixels + self.width]
+        beside = np.where(self.pixels % self.width < self.width - 1, place[self.pixels + 1], -1)
+        upper, left = np.flatnonzero(below >= 0), np.flatnonzero(beside >= 0)
+        return upper, below[upper], left, beside[left]
+
+
+def check_pixels(pixels: np.ndarray, what: str, width: int, height: int) -> None:
+    """Raise InvalidValue if row-major pixel indices [n] int64 lie outside an image of this size."""
+    if len(pixels) and not (0 <= pixels.min() and pixels.max() < width * height):
+        raise InvalidValue(f"the array {what} holds pixels outside {width}x{height}")
+
 
 JITTERS = 512  # a jitter is this fraction of a view's depth range
 OPAQUE = 0.5  # least alpha, of the field and of the photo, of an edited pixel
@@ -75,13 +136,8 @@ def seen_of_view(
     occluders. Colors are not premultiplied as in LAENeRF, where silhouettes add black to the palette.
 
     Args:
-        field: The field.
-        camera: Of the view.
         photo: [h, w, 3 or 4] sRGB 0..1.
-        region: The region.
         settings: Tolerance and width of the transition.
-        view: Index of the view.
-        chunks: Threads.
         ends_of: Replaces ends_of_view, on another device.
     """
     fading = settings.reach > 0 and bool(region.grow.any())
@@ -134,7 +190,6 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
     view; a fixed width gives the same lambda in every view.
 
     Args:
-        field: The field.
         x: [n, 3] ends of rays in the region.
         ends: Of all rays of the view, in the growing grid, as from ends_of_view.
         reach: Width, scene units.
@@ -160,15 +215,8 @@ def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndar
     spread = max(float(depth[shown].max() - depth[shown].min()), 1e-6) if shown.any() else 1.0
     zeta = np.zeros((*depth.shape, 2), np.float32)
     for axis in (0, 1):
-        first, last = (slice(None, -1), slice(1, None))
-        a = (first, slice(None)) if axis == 0 else (slice(None), first)
-        b = (last, slice(None)) if axis == 0 else (slice(None), last)
-        before, after = np.roll(sure, 1, axis), np.roll(sure, -1, axis)
-        if axis == 0:
-            before[0], after[-1] = 0, 0
-        else:
-            before[:, 0], after[:, -1] = 0, 0
-        run = before[a] * sure[a] * sure[b] * after[b]
-        step = np.abs(depth[a] - depth[b]) / spread * np.abs(colors[a] - colors[b]).sum(-1)
-        zeta[a][..., axis] = np.clip(run * step, 0, 1)
+        d, c, w = (np.moveaxis(values, axis, 0) for values in (depth, colors, sure))
+        w = np.pad(w, ((1, 1), (0, 0)))
+        step = np.abs(d[:-1] - d[1:]) / spread * np.abs(c[:-1] - c[1:]).sum(-1)
+        np.moveaxis(zeta[..., axis], axis, 0)[:-1] = np.clip(w[:-3] * w[1:-2] * w[2:-1] * w[3:] * step, 0, 1)
     return zeta.reshape(-1, 2)

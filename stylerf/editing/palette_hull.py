@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, QhullError
 
-from stylerf.editing.palette_module import clustered_palette
+from stylerf.editing.palette_module import clustered_palette, weighted_means
 from stylerf.errors import InvalidValue
 
 COARSE, FINE = 3, 5  # bits per channel
@@ -60,16 +60,6 @@ def histogram(colors: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
     return sums / counts[there, None], counts[there] / len(flat)
 
 
-def weighted_means(colors: np.ndarray, masses: np.ndarray, centers: np.ndarray) -> np.ndarray:
-    """Run k-means of colors [n, 3], weighted by masses [n], from centers [k, 3]; empty clusters keep their centers."""
-    for _ in range(ROUNDS):
-        nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)
-        sizes = np.bincount(nearest, masses, len(centers))
-        sums = np.stack([np.bincount(nearest, masses * colors[:, a], len(centers)) for a in range(3)], 1)
-        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1e-12)[:, None], centers)
-    return centers
-
-
 def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> ExtractedPalette:
     """Extract a palette from colors [n, 3], 0..1.
 
@@ -78,13 +68,12 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
     Args:
         colors: [n, 3].
         size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR.
-        generator: For k-means.
     """
     if len(colors) == 0 or not np.isfinite(colors).all() or 0 < size < FEWEST or size < 0:
         raise InvalidValue(f"cannot extract a palette of {size} colors (0, or at least 4) from {len(colors)} colors")
     fine, masses = histogram(colors, FINE)
     means, shares = histogram(colors, COARSE)
-    frequent = weighted_means(fine, masses, means[shares > FREQUENT] if (shares > FREQUENT).any() else means)
+    frequent = weighted_means(fine, masses, means[shares > FREQUENT] if (shares > FREQUENT).any() else means, ROUNDS)[0]
     try:
         palette = simplified(frequent, size)
     except (QhullError, ValueError):

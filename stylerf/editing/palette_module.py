@@ -9,6 +9,7 @@ P: palette [colors, 3], sRGB, not clamped to 0..1. A: number of active colors. n
 """
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,7 +39,49 @@ class Mixture:
     colors: Tensor
 
 
-class PaletteModule:
+class PaletteEvaluator(ABC):
+    """A palette module, to be evaluated: PaletteModule, or GpuPaletteModule."""
+
+    @property
+    @abstractmethod
+    def palette(self) -> np.ndarray:
+        """The active colors [A, 3], sRGB 0..1."""
+
+    @abstractmethod
+    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+        """Evaluate the module at cube points and unit directions [n, 3]; the result is on the CPU."""
+
+    @abstractmethod
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Do as colors(), given a mixture on the CPU."""
+
+    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
+        """Return the weights [n, A] float32 at cube points [n, 3]."""
+        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
+
+    def colors(
+        self,
+        x: np.ndarray,
+        directions: np.ndarray,
+        edits: PaletteEdits | None = None,
+        transition: np.ndarray | None = None,
+        chunks: int = 1,
+    ) -> np.ndarray:
+        """Return colors [n, 3] float32 in 0..1, after `edits` if given.
+
+        Args:
+            x: Cube points [n, 3].
+            directions: Unit [n, 3].
+            edits: Of palette and weights.
+            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
+                P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
+        """
+        return self.edited(self.mixture(x, directions, chunks), edits, transition)
+
+
+class PaletteModule(PaletteEvaluator):
     """Palette, encoding and both networks. Edits number the active colors 0 to A - 1, in order.
 
     Args:
@@ -92,7 +135,6 @@ class PaletteModule:
         """Evaluate the module.
 
         Args:
-            values: As a tensor.
             phi: Features [n, features].
             basis: Harmonics of the directions [n, 9].
             kept: Indices of the active colors, if already on the device.
@@ -127,12 +169,10 @@ class PaletteModule:
 
     @property
     def palette(self) -> np.ndarray:
-        """The active colors [A, 3], sRGB 0..1."""
         return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
-        """Evaluate the module at cube points and unit directions [n, 3], in parts of bounded memory."""
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -142,45 +182,18 @@ class PaletteModule:
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
-    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        """Return the weights [n, A] float32 at cube points [n, 3]."""
-        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
-
-    def colors(
-        self,
-        x: np.ndarray,
-        directions: np.ndarray,
-        edits: PaletteEdits | None = None,
-        transition: np.ndarray | None = None,
-        chunks: int = 1,
-    ) -> np.ndarray:
-        """Return colors [n, 3] float32 in 0..1, after `edits` if given.
-
-        Args:
-            x: Cube points [n, 3].
-            directions: Unit [n, 3].
-            edits: Of palette and weights.
-            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
-                P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
-            chunks: Threads.
-        """
-        return self.edited(self.mixture(x, directions, chunks), edits, transition)
-
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:
-        """Do as colors(), given a mixture on the CPU."""
         if edits is None or not edits:
             return found.colors.numpy()
         # Unclamped, as in training.
         palette = self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active]
         weights, offsets = found.weights.numpy(), found.offsets.numpy()
         new_palette, new_weights = edits.palette(palette), edits.weights(weights)
-        own = (
-            np.zeros((len(weights), 1), np.float32)
-            if transition is None
-            else np.asarray(transition, np.float32)[:, None]
-        )
+        own = np.zeros((len(weights), 1), np.float32)
+        if transition is not None:
+            own = np.asarray(transition, np.float32)[:, None]
         mixed = own * weights + (1 - own) * new_weights
         out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
         return np.clip(out, 0, 1).astype(np.float32)
@@ -237,9 +250,21 @@ def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count:
         total = apart.sum()
         chosen = generator.choice(len(colors), p=apart / total) if total > 0 else generator.integers(len(colors))
         centers = np.concatenate([centers, colors[chosen][None]])
+    centers, sizes = weighted_means(colors, np.ones(len(colors)), centers, rounds)
+    return centers[np.argsort(-sizes, kind="stable")].astype(np.float32)
+
+
+def weighted_means(
+    colors: np.ndarray, masses: np.ndarray, centers: np.ndarray, rounds: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Run k-means of colors [n, 3], weighted by masses [n], from centers [k, 3]; empty clusters keep their centers.
+
+    Returns:
+        The centers, and the masses [k] that the last of them are the means of.
+    """
     for _ in range(rounds):
         nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)
-        sizes = np.bincount(nearest, minlength=count)
-        sums = np.stack([np.bincount(nearest, colors[:, k], count) for k in range(3)], 1)
-        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1)[:, None], centers)
-    return centers[np.argsort(-sizes, kind="stable")].astype(np.float32)
+        sizes = np.bincount(nearest, masses, len(centers))
+        sums = np.stack([np.bincount(nearest, masses * colors[:, a], len(centers)) for a in range(3)], 1)
+        centers = np.where(sizes[:, None] > 0, sums / np.maximum(sizes, 1e-12)[:, None], centers)
+    return centers, sizes

@@ -4,14 +4,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteModule
+from stylerf.editing.palette_module import DEGREE, POINTS_AT_ONCE, Mixture, PaletteEvaluator, PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.gpu import launch
 
 
-class GpuPaletteModule:
-    """A copy of a module on `device`; results equal PaletteModule's up to rounding.
+class GpuPaletteModule(PaletteEvaluator):
+    """A copy of a module on `device`; results equal PaletteModule's up to rounding. Edits apply on the host.
 
     Attributes:
         module: The original.
@@ -58,17 +58,14 @@ class GpuPaletteModule:
 
     @property
     def active(self) -> np.ndarray:
-        """The active colors, [colors] bool."""
         return self.module.active
 
     @property
     def palette(self) -> np.ndarray:
-        """The active colors [A, 3], sRGB 0..1."""
         return self.networks[: 3 * len(self.active)].view(-1, 3)[self.kept].clamp(0, 1).cpu().numpy()
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
-        """Evaluate as PaletteModule.mixture does; the result is on the CPU. `chunks` is ignored."""
         parts = []
         for at in range(0, max(1, len(x)), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -78,16 +75,10 @@ class GpuPaletteModule:
             parts.append(self.module.mix(self.networks, phi, basis, self.kept))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]).cpu() for n in ("weights", "offsets", "colors")))
 
-    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
-        """Return the weights [n, A] float32 at cube points [n, 3]."""
-        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1))).weights.numpy()
-
-    def colors(
-        self, x: np.ndarray, directions: np.ndarray, edits: PaletteEdits | None = None,
-        transition: np.ndarray | None = None, chunks: int = 1,
-    ) -> np.ndarray:  # fmt: skip
-        """Return what PaletteModule.colors does; edits apply to the values on the host."""
-        return self.module.edited(self.mixture(x, directions), edits, transition)
+    def edited(
+        self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
+    ) -> np.ndarray:
+        return self.module.edited(found, edits, transition)
 
 
 class _Encode(torch.autograd.Function):

@@ -7,12 +7,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.errors import InvalidValue
 from stylerf.style.color_matching import match_colors
-from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_sizes import fitted
-from stylerf.style.losses import gram_distance, gram_matrix, position_weights
+from stylerf.style.feature_extractor import FeatureExtractor, fitted
+from stylerf.style.style_objective import gram_distance, gram_matrix, position_weights
 
 
 def crop_of(style_image: Tensor, x: int, y: int, size: int) -> Tensor:

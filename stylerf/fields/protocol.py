@@ -79,7 +79,7 @@ class Restorable(Protocol):
 
 @runtime_checkable
 class Growing(Protocol):
-    """A part that the capacity search can enlarge (training/fit/capacity_levels.py)."""
+    """A part that the capacity search can enlarge (training/fit/settings.py)."""
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> Self:
         """Return the same function at a larger capacity, as closely as that can represent it."""

@@ -115,14 +115,20 @@ def pair_consistency(
     count = int(visible.sum())
     if count == 0:
         return PairConsistency(None, None, 0.0, 0)
-    difference = (warped - target.image)[visible]
-    if not np.isfinite(difference).all():
+    if not np.isfinite((warped - target.image)[visible]).all():
         raise InvalidValue(f"views {source.camera.name} and {target.camera.name} hold colors that are not finite")
+    return PairConsistency(*differences(warped, target.image, visible, perceptual), count / opaque, count)
+
+
+def differences(
+    warped: np.ndarray, target: np.ndarray, where: np.ndarray, perceptual: PixelDistance | None
+) -> tuple[float, float | None]:
+    """Return root mean square difference and mean perceptual distance of images [h, w, 3] over pixels [h, w] bool."""
     distance = None
     if perceptual is not None:
-        patched = np.where(visible[..., None], warped, target.image).astype(np.float32)
-        distance = float(perceptual(patched, target.image.astype(np.float32))[visible].mean())
-    return PairConsistency(float(np.sqrt((difference**2).mean())), distance, count / opaque, count)
+        patched = np.where(where[..., None], warped, target).astype(np.float32)
+        distance = float(perceptual(patched, target.astype(np.float32))[where].mean())
+    return float(np.sqrt(((warped - target)[where] ** 2).mean())), distance
 
 
 def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> float | None:

@@ -9,9 +9,56 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
-from stylerf.metrics.consistency import PixelDistance
+from stylerf.metrics.consistency import PixelDistance, differences
 from stylerf.metrics.optical_flow import check_flow, filled, occluded, sampled, visible
-from stylerf.metrics.splatting import photometric_importance, softmax_splat
+
+IMPORTANCE = -20.0  # factor of the photometric error, from the authors' example
+
+
+def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Splat an image along a flow.
+
+    Args:
+        image: [h, w, c].
+        flow: [h, w, 2]; pixels of unknown flow, and those that leave the image, are dropped.
+        importance: Z, [h, w].
+
+    Returns:
+        The warped image [h, w, c], 0 where nothing lands, and where something lands, [h, w] bool.
+    """
+    height, width, channels = image.shape
+    check_flow(flow, (height, width))
+    if importance.shape != (height, width):
+        raise InvalidValue(f"importance {importance.shape} does not fit an image of {image.shape}")
+    known = np.isfinite(flow).all(axis=-1).reshape(-1)
+    rows, columns = np.divmod(np.flatnonzero(known), width)
+    move = flow.reshape(-1, 2)[known]
+    x, y = np.clip(columns + move[:, 0], -2, width + 1), np.clip(rows + move[:, 1], -2, height + 1)
+    left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    colors = np.asarray(image, np.float64).reshape(-1, channels)[known]
+    strength = np.asarray(importance, np.float64).reshape(-1)[known]
+    weight = np.exp(strength - strength.max(initial=-np.inf))  # the maximum cancels in the quotient
+    total, found = np.zeros(height * width), np.zeros((height * width, channels))
+    landed = np.zeros(height * width, bool)
+    for down in (0, 1):
+        for right in (0, 1):
+            i, j = top + down, left + right
+            share = (1 - np.abs(x - j)) * (1 - np.abs(y - i))
+            lands = (i >= 0) & (i < height) & (j >= 0) & (j < width) & (share > 0)
+            place, part = i[lands] * width + j[lands], share[lands] * weight[lands]
+            landed[place] = True
+            total += np.bincount(place, part, height * width)
+            for channel in range(channels):
+                found[:, channel] += np.bincount(place, part * colors[lands, channel], height * width)
+    landed &= total > 0
+    warped = found / np.where(landed, total, 1)[:, None]
+    return warped.reshape(height, width, channels), landed.reshape(height, width)
+
+
+def photometric_importance(source: np.ndarray, target: np.ndarray, flow: np.ndarray) -> np.ndarray:
+    """Return Z [h, w]: IMPORTANCE times |source - target sampled by the flow|, mean over RGB."""
+    return np.asarray(IMPORTANCE * np.abs(np.asarray(source, np.float64) - sampled(target, flow)).mean(axis=-1))
+
 
 ImageDistance = Callable[[np.ndarray, np.ndarray], float]  # two [h, w, 3] images in 0..1
 
@@ -47,10 +94,8 @@ def laenerf_script(
     0..1 instead of -1..1. Images are rounded to eight bits, as the script reads them.
 
     Args:
-        source, target: Images.
         forward: Flow from source to target.
         backward: Flow from target to source.
-        perceptual: A distance of two images.
     """
     _check(source, target, forward, backward)
     source, target = (np.round(image * 255) / 255 for image in (source, target))
@@ -99,11 +144,7 @@ def _over(
 ) -> FlowConsistency:
     if not compared.any():
         return FlowConsistency(None, None, 0.0)
-    distance = None
-    if perceptual is not None:
-        patched = np.where(compared[..., None], warped, target).astype(np.float32)
-        distance = float(perceptual(patched, target.astype(np.float32))[compared].mean())
-    error = float(np.sqrt(((warped - target)[compared] ** 2).mean()))
+    error, distance = differences(warped, target, compared, perceptual)
     return FlowConsistency(error, distance, float(compared.sum() / selected.sum()))
 
 

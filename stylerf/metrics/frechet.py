@@ -1,4 +1,4 @@
-"""Frechet distance between two sets of vectors, each modeled as a Gaussian.
+"""Frechet distance between two sets of vectors, each modeled as a Gaussian; of colors, the palette distance.
 
     d^2 = |mu_a - mu_b|^2 + tr(S_a + S_b - 2 (S_a^1/2 S_b S_a^1/2)^1/2)
 
@@ -49,3 +49,34 @@ def symmetric_root(matrix: np.ndarray) -> np.ndarray:
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return (matrix + matrix.T) / 2
+
+
+@dataclass(frozen=True)
+class PaletteDistance:
+    """Distances in sRGB values 0..1; the covariance in their square.
+
+    Attributes:
+        mean: |mu_a - mu_b|.
+        covariance: Frobenius norm of S_a - S_b.
+        frechet: 2-Wasserstein distance of the Gaussians.
+    """
+
+    mean: float
+    covariance: float
+    frechet: float
+
+
+def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
+    """Compare colors [n, 3] and [m, 3] by mean and covariance (divided by n)."""
+    first, second = _moments(a), _moments(b)
+    return PaletteDistance(
+        mean=float(np.linalg.norm(first.mean - second.mean)),
+        covariance=float(np.linalg.norm(first.covariance - second.covariance)),
+        frechet=float(np.sqrt(frechet_squared(first, second))),
+    )
+
+
+def _moments(colors: np.ndarray) -> Moments:
+    if np.ndim(colors) != 2 or np.shape(colors)[1] != 3:
+        raise InvalidValue(f"expected finite colors [n, 3], got an array of shape {np.shape(colors)}")
+    return moments(colors)

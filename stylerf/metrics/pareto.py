@@ -14,7 +14,6 @@ def pareto_front(costs: Sequence[float], metrics: Sequence[float], higher: bool)
     Args:
         costs: Lower is better.
         metrics: One for each cost.
-        higher: Whether a higher metric is better.
     """
     if len(costs) != len(metrics):
         raise InvalidValue(f"expected as many costs as metrics, got {len(costs)} and {len(metrics)}")

@@ -17,7 +17,7 @@ from stylerf.kernels.cpu.compositing import (
     visible_weights,
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
-from stylerf.kernels.cpu.regions import zero_outside
+from stylerf.kernels.cpu.regions import weights_inside, zero_outside
 
 SAMPLES_PER_RAY = 512
 
@@ -56,8 +56,6 @@ def render_rays(
     """Render rays.
 
     Args:
-        field: what is rendered.
-        rays: [rays].
         threads: partitions of the rays; the result is the same to the bit for the same number.
         min_transmittance: a ray ends once its transmittance falls below this.
         weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color.
@@ -125,9 +123,17 @@ def backward(
         if density_within is not None:
             zero_outside(density_within.reshape(-1), len(density_within), samples, threads, sigma_gradients)
         field.density.backward(samples, sigma_gradients, density_to)
-    if displacement_to is not None:
+    if displacement_to is not None and field.displacement is not None:
         at_positions = position_gradients(
             field.density, field.color, samples, rendered.basis, sigma_gradients, colors, color_gradients, threads
         )
         vertices = len(field.displacement)
         displacement_gradient(field.space, rendered.rays, samples, at_positions, vertices, displacement_to)
+
+
+def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarray:
+    """Return the sum of each ray's weights over samples in marked cells [s, s, s], [rays] float32."""
+    out = np.zeros(len(samples.ends), np.float32)
+    flat = np.ascontiguousarray(marked).reshape(-1)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
+    return out

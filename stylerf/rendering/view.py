@@ -1,16 +1,17 @@
-"""Whole views of a field."""
+"""Whole views of a field, and their depth and displacement as pictures."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
+from stylerf.errors import InvalidValue
 from stylerf.fields.marching import ScratchArena
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
-from stylerf.rendering.rays import render_rays, with_surface_distance
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside, render_rays, with_surface_distance
 
 RAYS_AT_ONCE = 8192
 
@@ -47,8 +48,6 @@ def render_view(
     """Render every pixel center of a camera.
 
     Args:
-        field, camera: what is rendered, and from where.
-        threads: threads of the kernels.
         min_transmittance: a ray ends once its transmittance falls below this.
         rays_at_once: bounds memory.
         regions: marked cells [s, s, s] bool by name; their masks come from the very samples of the picture.
@@ -56,7 +55,8 @@ def render_view(
     """
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
-    inside = {name: np.empty(count, np.float32) for name in regions or {}}
+    marked = regions or {}
+    inside = {name: np.empty(count, np.float32) for name in marked}
     arena = ScratchArena()
     for at in range(0, count, rays_at_once):
         pixels = np.arange(at, min(at + rays_at_once, count))
@@ -73,7 +73,7 @@ def render_view(
         )
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
-            mask[pixels] = alpha_inside(regions[name], rendered.samples, threads)
+            mask[pixels] = alpha_inside(marked[name], rendered.samples, threads)
         on_rays(min(at + rays_at_once, count))
     return view_of(camera, out, inside)
 
@@ -90,3 +90,49 @@ def view_of(camera: Camera, out: np.ndarray, inside: Mapping[str, np.ndarray]) -
     distance = np.where(alpha > 0, out[..., 4], 0)
     masks = {name: np.minimum(mask.reshape(alpha.shape), alpha) for name, mask in inside.items()}
     return RenderedView(out[..., :3], alpha, distance, distance * camera.ray_cosines(), masks)
+
+
+def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return planar depth [h, w] in viridis by inverse depth, near bright: [h, w, 3] uint8, black where empty."""
+    from stylerf.environment.matplotlib_defaults import colormaps
+
+    seen = (alpha > 0.5) & (z > 0)
+    inverse = np.where(seen, 1 / np.maximum(z, 1e-6), 0)
+    low, high = np.percentile(inverse[seen], [1, 99]) if seen.any() else (0.0, 1.0)
+    level = np.clip((inverse - low) / max(high - low, 1e-9), 0, 1)
+    colors = colormaps["viridis"](level)[..., :3] * seen[..., None]
+    return (colors * 255 + 0.5).astype(np.uint8)
+
+
+def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedView) -> np.ndarray:
+    """Return the displacement |D| of each pixel's surface in magma, black for none: [h, w, 3] uint8.
+
+    The scale ends at the 99th percentile of visible surfaces.
+    """
+    from stylerf.environment.matplotlib_defaults import colormaps
+
+    if (grid := field.displacement) is None:
+        raise InvalidValue("a field that is not displaced has no displacement to show")
+    origins, directions = camera.rays()
+    points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))
+    places = (points * (np.array(grid.shape[:3]) - 1)).T
+    moved = np.stack([map_coordinates(grid[..., axis], places, order=1) for axis in range(3)], -1)
+    far = np.linalg.norm(moved, axis=1).reshape(seen.alpha.shape) * (seen.alpha > 0.5)
+    most = max(float(np.percentile(far[seen.alpha > 0.5], 99)) if (seen.alpha > 0.5).any() else 0.0, 1e-9)
+    return (colormaps["magma"](np.clip(far / most, 0, 1))[..., :3] * 255 + 0.5).astype(np.uint8)
+
+
+def sheet_of(rows: list[list[np.ndarray]], beside: np.ndarray, gap: int = 6) -> np.ndarray:
+    """Arrange pictures [h, w, 3] of one size in rows beside one as tall as all rows, at the left; 0..1, on white."""
+    height, width = rows[0][0].shape[:2]
+    tall = len(rows) * (height + gap) - gap
+    wide = round(beside.shape[1] * tall / beside.shape[0])
+    sheet = np.ones((tall, wide + len(rows[0]) * (width + gap), 3), np.float32)
+    down = np.arange(tall) * beside.shape[0] // tall
+    across = np.arange(wide) * beside.shape[1] // wide
+    sheet[:, :wide] = beside[down[:, None], across[None, :], :3]
+    for i, row in enumerate(rows):
+        for j, picture in enumerate(row):
+            top, left = i * (height + gap), wide + gap + j * (width + gap)
+            sheet[top : top + height, left : left + width] = picture[..., :3]
+    return sheet

@@ -14,7 +14,6 @@ from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.rendering.view import RenderedView, view_of
 
 RAYS_AT_ONCE = 1 << 18
-PRECISIONS = ("auto", "float32", "float16")
 # Half a step of an 8-bit picture: the most that half precision may change of a pixel.
 TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
@@ -48,14 +47,14 @@ class GpuRenderer:
         rays_at_once: int = RAYS_AT_ONCE,
     ) -> None:
         self.device, self.rays_at_once = torch.device(device), rays_at_once
-        self._exact = GpuField(field, self.device) if precision != "float16" else None
-        self._halves = GpuField(field, self.device, half=True) if precision != "float32" else None
         self.half = None if precision == "auto" else precision == "float16"
+        tried = (False, True) if self.half is None else (self.half,)
+        self._fields = {half: GpuField(field, self.device, half) for half in tried}
 
     @property
     def field(self) -> GpuField:
         """The copy of the field that is rendered."""
-        return self._halves if self.half else self._exact
+        return self._fields[bool(self.half)]
 
     def choose(self, camera: Camera) -> None:
         """Choose the precision by this view, if it has not been chosen yet."""
@@ -65,13 +64,11 @@ class GpuRenderer:
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
         rays = GpuRays.of(*camera.rays(pixels), self.device)
         exact, rounded = (
-            f.render_rays(rays, weight_threshold=f.weight_threshold).out[:, :4] for f in (self._exact, self._halves)
+            self._fields[half].render_rays(rays, weight_threshold=self._fields[half].weight_threshold).out[:, :4]
+            for half in (False, True)
         )
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
-        if self.half:
-            self._exact = None
-        else:
-            self._halves = None
+        del self._fields[not self.half]
 
     def pixels(
         self,

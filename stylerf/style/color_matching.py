@@ -43,7 +43,6 @@ def match_colors(
     content: Tensor,  # [n, 3] sRGB
     style: Tensor,  # [m, 3] sRGB
     content_weights: Tensor | None = None,  # [n], for example alpha
-    style_weights: Tensor | None = None,  # [m]
 ) -> ColorMap:
     """Return the map that gives the content the style's weighted mean and covariance, before clamping; float64, CPU.
 
@@ -51,7 +50,7 @@ def match_colors(
     noise would turn into colors.
     """
     mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
-    mean_s, covariance_s = color_statistics(style.cpu(), _on_cpu(style_weights))
+    mean_s, covariance_s = color_statistics(style.cpu())
     matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5, NOISE)
     return ColorMap(matrix, mean_s - matrix @ mean_c)
 

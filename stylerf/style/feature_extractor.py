@@ -142,11 +142,11 @@ class FeatureExtractor(nn.Module):
         return F.max_pool2d(hidden, 2, ceil_mode=self.architecture.pooling == "max-ceil")
 
 
-def blur_pool(hidden: Tensor, kernel: Tensor, padding: int = 2) -> Tensor:
-    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding."""
+def blur_pool(hidden: Tensor, kernel: Tensor) -> Tensor:
+    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding of 2."""
     channels = hidden.shape[1]
     weight = kernel.to(hidden.dtype).expand(channels, 1, *kernel.shape)
-    padded = F.pad(hidden, (padding,) * 4, mode="reflect")
+    padded = F.pad(hidden, (2, 2, 2, 2), mode="reflect")
     return F.conv2d(padded, weight, stride=2, groups=channels)
 
 
@@ -159,3 +159,33 @@ def features(extractor: FeatureExtractor, image: Tensor, half_precision: torch.d
         return list(extractor(image))
     with torch.autocast("cuda", dtype=half_precision):
         return [feature.float() for feature in extractor(image)]
+
+
+def resized(image: Tensor, height: int, width: int) -> Tensor:
+    """Resize an image [c, h, w] by antialiased bilinear interpolation, on sRGB values, as the papers do."""
+    if height < 1 or width < 1:
+        raise InvalidValue(f"an image of {width}x{height} pixels is empty")
+    if image.shape[1:] == (height, width):
+        return image
+    return F.interpolate(image[None], size=(height, width), mode="bilinear", antialias=True, align_corners=False)[0]
+
+
+def fitted(image: Tensor, long_side: int) -> Tensor:
+    """Scale an image [c, h, w] so that its longer side has `long_side` pixels, keeping its proportions."""
+    height, width = image.shape[1:]
+    factor = long_side / max(height, width)
+    return resized(image, max(1, round(height * factor)), max(1, round(width * factor)))
+
+
+def feature_size(height: int, width: int, scale: float) -> tuple[int, int]:
+    """Return height and width of the image that features are extracted from; ARF uses a scale of 0.5."""
+    return max(1, round(height * scale)), max(1, round(width * scale))
+
+
+def style_picture(style_image: Tensor, content_height: int, content_width: int, scale: float = 0.5) -> Tensor:
+    """Scale a style image [3, h, w] to the content's longer side times `scale` (ARF).
+
+    With the scale of the content's features, strokes have the size they would have if the style image covered the
+    view; a larger scale gives larger strokes.
+    """
+    return fitted(style_image, max(1, round(max(content_height, content_width) * scale)))

@@ -29,7 +29,6 @@ def nearest(
     """Find the style row of largest cosine similarity, without gradients. Ties go to the first row.
 
     Args:
-        content: Rows.
         style: Rows of unit length.
         memory_mb: Limit of the similarities held at a time.
         half: On CUDA, compare in float16, whose steps at unit length are an eighth of bfloat16's 0.004.
@@ -83,7 +82,7 @@ class StyleRows:
     def with_basis(self, rank: int) -> "StyleRows":
         """Return these rows with a search in the `rank` leading directions of their second moment: c/rank times faster.
 
-        <f, s> loses the part of s outside these directions; `matching_error` measures the cost.
+        <f, s> loses the part of s outside these directions.
         """
         if not 1 <= rank <= self.rows.shape[1]:
             raise InvalidValue(f"expected a rank from 1 to {self.rows.shape[1]}, found {rank}")
@@ -92,21 +91,11 @@ class StyleRows:
         return replace(self, basis=basis, short=(self.rows @ basis).contiguous())
 
 
-def style_rows(features: Tensor, most: int | None = 4096, method: str = "sample", seed: int = 0) -> StyleRows:
-    """Return unit rows of a style image's features [c, h, w].
-
-    Args:
-        features: [c, h, w].
-        most: Largest number of rows to keep; None for all.
-        method: "sample" keeps a random subset; "cluster" the members nearest to the centers of spherical k-means (the
-            centers themselves are blends that no stroke has).
-        seed: Of the choice.
-    """
+def style_rows(features: Tensor, most: int | None = 4096, seed: int = 0) -> StyleRows:
+    """Return unit rows of a style image's features [c, h, w]: a random subset of `most`, or all if that is None."""
     rows = unit_rows(rows_of(features.detach()))
     if most is not None and rows.shape[0] > most:
-        if method not in ("sample", "cluster"):
-            raise InvalidValue(f"expected `sample` or `cluster`, found {method!r}")
-        rows = sample(rows, most, seed) if method == "sample" else cluster(rows, most, seed)
+        rows = sample(rows, most, seed)
     return StyleRows(rows.contiguous())
 
 
@@ -119,40 +108,3 @@ def sample(rows: Tensor, count: int, seed: int) -> Tensor:
     """Draw `count` rows of [m, c] without replacement, in their order; always on the CPU, for equal results."""
     chosen = torch.randperm(rows.shape[0], generator=torch.Generator().manual_seed(seed))[:count].sort().values
     return rows[chosen.to(rows.device)]
-
-
-def cluster(rows: Tensor, count: int, seed: int, rounds: int = 4) -> Tensor:
-    """Return `count` of the unit rows [m, c], those nearest to the centers of spherical k-means.
-
-    An empty cluster takes the row farthest from its center. Returns fewer rows only if members coincide. Runs on the
-    CPU, where sums are deterministic.
-    """
-    device, rows = rows.device, rows.cpu()
-    centers = sample(rows, count, seed)
-    for _ in range(rounds):
-        owner, similarity = nearest(rows, centers)
-        sums = torch.zeros_like(centers).index_add_(0, owner, rows)
-        empty = torch.bincount(owner, minlength=count) == 0
-        centers = unit_rows(sums)
-        if empty.any():
-            centers[empty] = rows[similarity.argsort()[: int(empty.sum())]]
-    members = nearest(centers, rows)[0]
-    return rows[members.unique()].to(device)
-
-
-def matching_error(content: Tensor, full: StyleRows, reduced: StyleRows) -> dict[str, float]:
-    """Measure the cost of matching content rows [n, c] to `reduced` instead of `full`.
-
-    Returns:
-        "distance": mean of 1 - cos to the full set; "excess": mean cosine lost by the reduced match (>= 0 up to
-        rounding); "worst": the largest loss.
-    """
-    queries = unit_rows(content.detach())
-    exact = (queries * full.rows[nearest(content, full.rows)[0]]).sum(dim=1)
-    found = (queries * reduced.rows[reduced.match(content)]).sum(dim=1)
-    lost = exact - found
-    return {
-        "distance": float(1 - exact.mean()),
-        "excess": float(lost.mean()),
-        "worst": float(lost.max()),
-    }

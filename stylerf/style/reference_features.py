@@ -17,8 +17,17 @@ from torch import Tensor
 
 from stylerf.style.feature_extractor import FeatureExtractor, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
-from stylerf.style.losses import by_block, content_distance, nearest_neighbor_distance, position_weights
-from stylerf.style.style_objective import EVERYTHING, VARIATIONS, StyleWeights, Window, features_of, weighted_sum
+from stylerf.style.style_objective import (
+    EVERYTHING,
+    FeatureLoss,
+    StyleWeights,
+    Window,
+    by_block,
+    content_distance,
+    nearest_neighbor_distance,
+    position_weights,
+    weighted_sum,
+)
 
 COARSE_PIXELS = 16  # side of a coarse cell, pixels (Ref-NPR: 1/16 of the image)
 UNRELATED = 0.6  # cosine distance over which a coarse match is ignored (Ref-NPR)
@@ -62,7 +71,7 @@ class Wanted:
         return sum(t.numel() * t.element_size() for t in held)
 
 
-class ReferenceObjective:
+class ReferenceObjective(FeatureLoss):
     """The loss of an image [3, h, w] by its correspondences with references.
 
     Args:
@@ -88,12 +97,8 @@ class ReferenceObjective:
         seed: int = 0,
         variation: str = "squared",
     ) -> None:
-        self.extractor, self.coarse, self.weights, self.scale = extractor, coarse, weights, scale
-        self.references, self.basis, self.seed = list(references), basis, seed
-        self.variation = VARIATIONS[variation]
-        self.device = extractor.input_scale.device
-        on_gpu = self.device.type == "cuda"
-        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
+        super().__init__(extractor, weights, scale, variation)
+        self.coarse, self.references, self.basis, self.seed = coarse, list(references), basis, seed
         with torch.no_grad():
             stylized = self._rows_of([reference.stylized for reference in self.references])
             self.stylized = {block: StyleRows(unit_rows(rows)) for block, rows in stylized.items()}
@@ -102,10 +107,6 @@ class ReferenceObjective:
             cells = [self._cells(reference) for reference in self.references]
             self.coarse_keys = torch.cat([keys for keys, _ in cells])
             self.coarse_colors = torch.cat([colors for _, colors in cells])
-
-    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Return features by block of a window of an image [3, h, w], at the feature scale."""
-        return features_of(self.extractor, picture[:, *window], self.scale, self.half)
 
     def _rows_of(self, pictures: Sequence[Tensor]) -> dict[str, Tensor]:
         """Return features by block, [n, c], of one image for each reference, at positions inside its alpha."""

@@ -11,19 +11,94 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.style.feature_extractor import FeatureExtractor, features
-from stylerf.style.feature_matching import StyleRows, style_rows
-from stylerf.style.image_sizes import feature_size, resized, style_picture
-from stylerf.style.losses import (
-    by_block,
-    content_distance,
-    diagonal_variation,
-    gram_distance,
-    gram_matrix,
-    image_variation,
-    nearest_neighbor_distance,
-    position_weights,
-)
+from stylerf.errors import InvalidValue
+from stylerf.style.feature_extractor import FeatureExtractor, feature_size, features, resized, style_picture
+from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
+
+
+def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:
+    """Concatenate features [1, c, h, w] of layers in one block along channels (ARF): {"conv3": [sum c, h, w], ...}."""
+    blocks: dict[str, list[Tensor]] = {}
+    for layer, feature in zip(layers, features, strict=True):
+        blocks.setdefault(layer.split("_")[0], []).append(feature[0])
+    return {block: parts[0] if len(parts) == 1 else torch.cat(parts) for block, parts in blocks.items()}
+
+
+def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor:
+    """Return the coverage of each feature position, [h', w'] in 0..1: alpha [h, w], area-averaged.
+
+    around: radius of a maximum filter over positions, so that those next to the object count too.
+    """
+    covered = F.interpolate(alpha[None, None], size=features.shape[1:], mode="area")
+    return F.max_pool2d(covered, 2 * around + 1, 1, around)[0, 0]
+
+
+def nearest_neighbor_distance(
+    features: Tensor,  # [c, h, w] of the render
+    style: StyleRows,
+    weights: Tensor | None = None,  # [h, w] >= 0; positions of weight 0 are neither matched nor differentiated
+    memory_mb: float = 64.0,
+    half: bool = False,
+    matches: Tensor | None = None,  # indices from an earlier call, to skip the search
+) -> tuple[Tensor, Tensor]:
+    """Compute NNFM (ARF eq. 2): 1 - cos(F_i, S_j(i)) with j(i) the style row of largest cosine.
+
+    The loss is distances.sum() / weights.sum(). There is no gradient through the matching or the style. All-zero
+    features have distance 1 and gradient 0.
+
+    Returns:
+        Distances [p] in 0..2 of the positions of positive weight, times their weight, and their matches [p].
+    """
+    rows = rows_of(features)
+    if weights is not None:
+        flat = weights.flatten()
+        inside = flat > 0
+        rows, flat = rows[inside], flat[inside]
+    if matches is None:
+        matches = style.match(rows.detach(), memory_mb, half)
+    distances = 1 - (unit_rows(rows) * style.rows[matches]).sum(dim=1)
+    return (distances if weights is None else distances * flat), matches
+
+
+def content_distance(features: Tensor, reference: Tensor) -> Tensor:
+    """Return the squared difference of features [c, h, w] at each position, mean over channels, [h, w] (ARF)."""
+    return (features - reference).square().mean(dim=0)
+
+
+def gram_matrix(features: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return F F^T / (c n), [c, c], of features [c, h, w]; n is h w, or the sum of `weights` [h, w]."""
+    channels = features.shape[0]
+    flat = features.flatten(1)
+    if weights is None:
+        return flat @ flat.T / (channels * flat.shape[1])
+    total = weights.sum()
+    # Reading the total on a GPU would wait for it; there the NaN that results is caught later.
+    if not total.is_cuda and float(total) <= 0:
+        raise InvalidValue("a Gram matrix needs a position of positive weight")
+    return (flat * weights.flatten()) @ flat.T / (channels * total)
+
+
+def gram_distance(features: Tensor, style_gram: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return the squared differences of Gram matrices, [c, c] (Gatys et al.; LAENeRF uses their mean)."""
+    return (gram_matrix(features, weights) - style_gram).square()
+
+
+def image_variation(image: Tensor) -> Tensor:
+    """Return ARF's total variation, a scalar: (mean dx^2 + mean dy^2) / 2 of an image [3, h, w]."""
+    horizontal, vertical = image[:, :, 1:] - image[:, :, :-1], image[:, 1:] - image[:, :-1]
+    return (horizontal.square().mean() + vertical.square().mean()) / 2
+
+
+def diagonal_variation(image: Tensor) -> Tensor:
+    """Return DeSRF's variation (eq. 6) at each pixel, [h, w]: ||grad_u x + grad_v x|| over color, forward differences.
+
+    As printed, the differences are added before the norm, so a ramp along the rising diagonal is free. The gradient at
+    a flat pixel is 0.
+    """
+    right = F.pad(image[:, :, 1:] - image[:, :, :-1], (0, 1))
+    down = F.pad(image[:, 1:] - image[:, :-1], (0, 0, 0, 1))
+    return torch.linalg.vector_norm(right + down, dim=0)
+
 
 CELLS = 32  # along the longer side: the resolution at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of an image
@@ -71,11 +146,28 @@ class Content:
         return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors))
 
 
-class StyleObjective:
-    """The loss of an image [3, h, w] for a style image whose features are computed once.
+class FeatureLoss:
+    """What losses on features share. All tensors are on the feature extractor's device.
 
-    All tensors are on the feature extractor's device. On a GPU it runs in bfloat16, and neighbors are searched in
-    float16; sums are float32.
+    On a GPU it runs in bfloat16, and neighbors are searched in float16; sums are float32.
+    """
+
+    def __init__(self, extractor: FeatureExtractor, weights: StyleWeights, scale: float, variation: str) -> None:
+        self.extractor, self.weights, self.scale = extractor, weights, scale
+        self.variation = VARIATIONS[variation]
+        self.device = extractor.input_scale.device
+        on_gpu = self.device.type == "cuda"
+        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
+
+    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
+        """Return features by block of a window of an image [3, h, w], at the feature scale."""
+        part = picture[:, *window]
+        small = resized(part, *feature_size(part.shape[1], part.shape[2], self.scale))
+        return by_block(self.extractor.layers, features(self.extractor, small[None], self.half))
+
+
+class StyleObjective(FeatureLoss):
+    """The loss of an image [3, h, w] for a style image whose features are computed once.
 
     Args:
         extractor: The layers whose features are matched.
@@ -105,12 +197,8 @@ class StyleObjective:
         variation: str = "squared",
         around: int = 0,
     ) -> None:
+        super().__init__(extractor, weights, scale, variation)
         self.around = around
-        self.variation = VARIATIONS[variation]
-        self.extractor, self.weights, self.scale = extractor, weights, scale
-        self.device = extractor.input_scale.device
-        on_gpu = self.device.type == "cuda"
-        self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
         picture = style_picture(style_image, *size, scale=scale * style_scale).to(self.device)
         with torch.no_grad():
             found = by_block(extractor.layers, features(extractor, picture[None], self.half))
@@ -130,10 +218,6 @@ class StyleObjective:
             feature, self.style[block], weights, self.memory_mb, self.half is not None
         )
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
-
-    def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Return features by block of a window of an image [3, h, w], at the feature scale."""
-        return features_of(self.extractor, picture[:, *window], self.scale, self.half)
 
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
@@ -168,15 +252,6 @@ class StyleObjective:
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
-
-
-def features_of(
-    extractor: FeatureExtractor, picture: Tensor, scale: float, half: torch.dtype | None
-) -> dict[str, Tensor]:
-    """Return features by block of an image [3, h, w], extracted at `scale`."""
-    height, width = picture.shape[1:]
-    small = resized(picture, *feature_size(height, width, scale))
-    return by_block(extractor.layers, features(extractor, small[None], half))
 
 
 def weighted_sum(weights: StyleWeights, parts: Mapping[str, Tensor]) -> Tensor:

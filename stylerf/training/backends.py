@@ -15,16 +15,19 @@ import torch
 if TYPE_CHECKING:
     import numpy as np
 
-    from stylerf.editing.palette_module import PaletteModule
-    from stylerf.editing.palette_module_gpu import GpuPaletteModule
+    from stylerf.editing.palette_module import PaletteEvaluator, PaletteModule
     from stylerf.fields.radiance_field import RadianceField
     from stylerf.geometry.cameras import Camera
+    from stylerf.training.deform.fitter import DeformBackend
+    from stylerf.training.edit.trainer import EditEngine
+    from stylerf.training.finetune.trainer import FineTuneEngine
+    from stylerf.training.fit.fitter import Engine
     from stylerf.training.stylize.scene import StyleBackend
 
 Device = str | torch.device | None
 
 
-def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable:
+def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable[..., Engine]:
     """Return the constructor of the engine of a fit; see Fitter. samples: intended density samples per step."""
     if device is None:
         from stylerf.training.fit.engine import CpuEngine
@@ -35,7 +38,7 @@ def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Call
     return functools.partial(GpuEngine, device=device, samples=samples, gradient_clip=gradient_clip)
 
 
-def edit_engine(device: Device) -> Callable:
+def edit_engine(device: Device) -> Callable[..., EditEngine]:
     """Return the constructor of the engine of a local edit; see EditTrainer."""
     if device is None:
         from stylerf.training.edit.engine import CpuEditEngine
@@ -46,7 +49,7 @@ def edit_engine(device: Device) -> Callable:
     return functools.partial(GpuEditEngine, device=device)
 
 
-def palette_module(device: Device, module: PaletteModule) -> PaletteModule | GpuPaletteModule:
+def palette_module(device: Device, module: PaletteModule) -> PaletteEvaluator:
     """A trained palette module, to be evaluated on the device."""
     if device is None:
         return module
@@ -64,7 +67,7 @@ def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.
     return GpuRayEnds(field, device)
 
 
-def finetune_engine(device: Device) -> Callable:
+def finetune_engine(device: Device) -> Callable[..., FineTuneEngine]:
     """Return the constructor of the engine of a fine-tuning; see FineTuner."""
     if device is None:
         from stylerf.training.finetune.engine import CpuFineTuneEngine
@@ -75,11 +78,10 @@ def finetune_engine(device: Device) -> Callable:
     return functools.partial(GpuFineTuneEngine, device=device)
 
 
-def deform_backend(device: Device) -> tuple[Callable, Callable]:
+def deform_backend(device: Device) -> DeformBackend:
     """Return the constructors of deformer and photo error; see DeformationFitter."""
     if device is None:
-        from stylerf.training.deform.deformer import Deformer
-        from stylerf.training.deform.photo_error import PhotoError
+        from stylerf.training.deform.deformer import Deformer, PhotoError
 
         return Deformer, PhotoError
     from stylerf.training.deform.deformer_gpu import GpuDeformer, GpuPhotoError

@@ -29,7 +29,7 @@ from stages.distill import _edited
 from stages.evaluation.test_views import FrameViews
 from stages.finetune import edited_pixels
 from stylerf.editing.edit_grid import Region, solid_cells
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding

@@ -8,7 +8,7 @@ from schemas.work_folder import Artifact, WorkFolder
 from stages import distill, finetune
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
 from stages.configs.edit import DistillConfig
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.fields.palette_edits import PaletteEdits
 from tests.resealing import reseal
 from tests.stages.stress_fixture import SIZE, make_capture

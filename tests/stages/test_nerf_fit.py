@@ -15,8 +15,8 @@ from stages.nerf_fit import _report_idle, _report_memory, _settings, _shown
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.training.fit.capacity_levels import FULL, LEVELS
-from stylerf.training.fit.engine import background_of
+from stylerf.training.common.ray_dataset import background_of
+from stylerf.training.fit.settings import FULL, LEVELS
 from tests.stages.importing import Said
 from tests.stages.stress_fixture import make_capture
 from tests.stylerf.small import SPACES

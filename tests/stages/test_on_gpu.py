@@ -19,7 +19,7 @@ from stages.run.progress import Context
 from stylerf.fields.deformation import Deformation
 from stylerf.kernels.gpu import interpreted
 from stylerf.training.backends import style_backend
-from stylerf.training.common.process_group import SingleProcess
+from stylerf.training.common.process_group import ProcessGroup
 from stylerf.training.deform import deformer, fitter
 from stylerf.training.deform.deformer_gpu import GpuDeformer
 from tests.stages.evaluation_fixture import camera_entry, commit
@@ -115,7 +115,7 @@ def test_deforming_stylization_uses_the_gpu_where_kernels_allow(kind, monkeypatc
     assert [line.split(":")[0] for line in said.lines] == expected
 
 
-class OneLacks(SingleProcess):
+class OneLacks(ProcessGroup):
     """Three processes, one of the others without what a GPU needs."""
 
     count = 3

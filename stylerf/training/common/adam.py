@@ -1,8 +1,11 @@
 """Adam over the flat value arrays of field parts."""
 
 import math
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
+from torch import Tensor
 
 from stylerf.kernels.cpu.adam import adam
 
@@ -32,22 +35,11 @@ class Adam:
         if self.gradient_clip > 0:
             self.running_norm = clipped(self.gradients, self.gradient_clip, self.running_norm, self.steps)
         self.steps += 1
+        arrays = self.values, self.gradients, self.first, self.second
+        betas = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON)
         corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
         for begin, end, factor in self.groups:
-            adam(
-                self.values,
-                self.gradients,
-                self.first,
-                self.second,
-                np.float32(rate * factor),
-                np.float32(BETA1),
-                np.float32(BETA2),
-                np.float32(EPSILON),
-                *corrections,
-                begin,
-                end,
-                self.threads,
-            )
+            adam(*arrays, np.float32(rate * factor), *betas, *corrections, begin, end, self.threads)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint, beside the values."""
@@ -59,6 +51,33 @@ class Adam:
         self.first[:], self.second[:] = arrays["first"], arrays["second"]
         self.steps = int(arrays["steps"][0])
         self.running_norm = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
+
+
+class Optimizer(Protocol):
+    """An Adam, or a GpuAdam."""
+
+    @property
+    def values(self) -> np.ndarray | Tensor: ...
+
+    @property
+    def gradients(self) -> np.ndarray | Tensor: ...
+
+    def step(self, rate: float) -> None: ...
+
+    def arrays(self) -> dict[str, np.ndarray]: ...
+
+    def restore(self, arrays: dict[str, np.ndarray]) -> None: ...
+
+
+def moments_of(optimizers: Mapping[str, Optimizer]) -> dict[str, np.ndarray]:
+    """Arrays of a checkpoint of several optimizers, by name; the next step may overwrite them."""
+    return {f"{name}.{k}": v for name, one in optimizers.items() for k, v in one.arrays().items()}
+
+
+def restore_moments(optimizers: Mapping[str, Optimizer], arrays: Mapping[str, np.ndarray]) -> None:
+    """From moments_of(), among other arrays."""
+    for name, one in optimizers.items():
+        one.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
 
 def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, steps: int) -> float:

@@ -1,9 +1,12 @@
 """Adam over the flat value tensors of field parts on a GPU, without waiting for the device."""
 
+from typing import Self
+
 import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf.fields.gpu.parts import GpuPart
 from stylerf.kernels.gpu import launch
 from stylerf.training.common.adam import BETA1, BETA2, EPSILON, NORM_STEPS
 
@@ -16,6 +19,11 @@ class GpuAdam:
         self.gradients, self.first, self.second = (torch.zeros_like(values) for _ in range(3))
         self.running_norm = torch.zeros((), dtype=torch.float64, device=values.device)
         self.steps = 0
+
+    @classmethod
+    def of(cls, part: GpuPart, gradient_clip: float = 0.0) -> Self:
+        """An optimizer of all that a part learns."""
+        return cls(part.values, part.groups, gradient_clip)
 
     def step(self, rate: float) -> None:
         """Take one step with learning rate `rate` times each group's factor, and clear the gradients."""

@@ -3,18 +3,20 @@
 A loop runs at most BEHIND steps ahead of the device, so that its clock is the device's.
 """
 
+from collections import deque
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 BEHIND = 8
+Note = TypeVar("Note")
 Result = TypeVar("Result")
 
 
-class AsyncReadback(Generic[Result]):
+class AsyncReadback(Generic[Note, Result]):
     """Reads `width` sums of each step back from the device, some steps late.
 
     Args:
@@ -28,14 +30,14 @@ class AsyncReadback(Generic[Result]):
         self,
         device: torch.device,
         width: int,
-        read: Callable[[list[float], Any], Result],
+        read: Callable[[list[float], Note], Result],
         first: Result,
         in_step: bool = False,
     ) -> None:
         on_gpu = device.type == "cuda"
         self._there = [torch.zeros(width, device=device) for _ in range(BEHIND)]
         self._here = [torch.zeros(width, pin_memory=on_gpu) for _ in range(BEHIND)]
-        self._notes: list[Any] = [None] * BEHIND
+        self._notes: deque[Note] = deque()  # of the steps that were sent and not read yet
         self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
         self._sent, self._read = 0, 0
         self._result_of, self._newest, self._in_step = read, first, in_step
@@ -46,11 +48,11 @@ class AsyncReadback(Generic[Result]):
             self._take(wait=True)
         return self._there[self._sent % BEHIND].zero_()
 
-    def send(self, note: Any) -> Result:
+    def send(self, note: Note) -> Result:
         """Start reading the step's sums back; returns the newest result."""
         place = self._sent % BEHIND
         self._here[place].copy_(self._there[place], non_blocking=True)
-        self._notes[place] = note
+        self._notes.append(note)
         if self._done is not None:
             self._done[place].record()
         self._sent += 1
@@ -71,7 +73,7 @@ class AsyncReadback(Generic[Result]):
                 self._done[place].synchronize()
             elif not self._done[place].query():
                 return False
-        self._newest = self._result_of(self._here[place].tolist(), self._notes[place])
+        self._newest = self._result_of(self._here[place].tolist(), self._notes.popleft())
         self._read += 1
         return True
 

@@ -1,10 +1,21 @@
 """A cache of what is computed for views, bounded in bytes."""
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
+
+Item = TypeVar("Item")
+Item_co = TypeVar("Item_co", covariant=True)
 
 
-class BoundedCache(Sequence):
+class PerView(Protocol[Item_co]):
+    """Something for each view, by its index: a list, or a BoundedCache."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, view: int, /) -> Item_co: ...
+
+
+class BoundedCache(Generic[Item]):
     """Keeps the first items computed, up to `max_bytes` in all; the others are recomputed at each use.
 
     Views come in a new random order each epoch, so that it does not matter which are kept, and nothing is evicted.
@@ -12,17 +23,16 @@ class BoundedCache(Sequence):
     Args:
         make: Computes the item of a view, always the same.
         size: Bytes of an item.
-        count: Number of views.
     """
 
-    def __init__(self, make: Callable[[int], Any], size: Callable[[Any], int], count: int, max_bytes: float) -> None:
+    def __init__(self, make: Callable[[int], Item], size: Callable[[Item], int], count: int, max_bytes: float) -> None:
         self._make, self._size, self._count, self._left = make, size, count, max_bytes
-        self.kept: dict[int, Any] = {}
+        self.kept: dict[int, Item] = {}
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, view: int) -> Any:
+    def __getitem__(self, view: int, /) -> Item:
         if view in self.kept:
             return self.kept[view]
         if not 0 <= view < self._count:

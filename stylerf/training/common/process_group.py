@@ -9,84 +9,66 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from datetime import timedelta
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stylerf.errors import InvalidValue, ProcessLost
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LONGEST_WAIT = timedelta(days=7)  # the first process may render for hours; one that dies is noticed at once
 READING_WAIT = timedelta(seconds=10)
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
-class ProcessGroup(Protocol):
-    """This process among those that train together. first: whether it decides, writes and prints."""
+class ProcessGroup:
+    """This process among those that train together: the only one, or one of several (DistributedProcesses).
 
-    count: int
-    place: int
-    first: bool
+    first: whether it decides, writes and prints.
+    """
+
+    count: int = 1
+    place: int = 0
+    first: bool = True
 
     def own(self, count: int) -> slice:
         """This process's part of `count` rays, contiguous, in the order of the processes."""
+        return slice(0, count)
 
-    def add(self, values: np.ndarray) -> None:
-        """Replace values (numpy, or torch on any device) by their sum over all processes."""
+    def add(self, values: "np.ndarray | Tensor") -> None:
+        """Replace values, on any device, by their sum over all processes."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
         """Sum the buffers [threads, n] of all processes into the first row, and clear the others."""
 
     def of_first(self, value: float) -> float:
         """The first process's value."""
+        return value
 
-    def take_first(self, values: np.ndarray) -> None:
+    def take_first(self, values: "np.ndarray | Tensor") -> None:
         """Replace values by the first process's."""
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
         """The first process's checkpoint."""
+        return saved
 
     def tell(self, text: str = "") -> str:
         """The first process's text; the others' own is ignored."""
+        return text
 
     def tell_fault(self, line: str) -> None:
-        """Leave this process's fault for the first one to report."""
+        """Leave this process's fault for the first one to report, unless another came before."""
 
     def leave(self) -> None:
         """Leave the group."""
 
 
-class SingleProcess:
-    """A single process."""
-
-    count, place, first = 1, 0, True
-
-    def own(self, count: int) -> slice:
-        return slice(0, count)
-
-    def add(self, values: np.ndarray) -> None: ...
-
-    def add_gradients(self, buffers: np.ndarray) -> None: ...
-
-    def of_first(self, value: float) -> float:
-        return value
-
-    def take_first(self, values: np.ndarray) -> None: ...
-
-    def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
-        return saved
-
-    def tell(self, text: str = "") -> str:
-        return text
-
-    def tell_fault(self, line: str) -> None: ...
-
-    def leave(self) -> None: ...
+ALONE = ProcessGroup()
 
 
-ALONE = SingleProcess()
-
-
-class DistributedProcesses:
+class DistributedProcesses(ProcessGroup):
     """Processes joined by torch.distributed, at the address that torchrun sets in the environment.
 
     Args:
@@ -100,16 +82,19 @@ class DistributedProcesses:
     def __init__(self, device: str = "cpu") -> None:
         import torch
         from torch import distributed
+        from torch.distributed.rendezvous import rendezvous
 
         self._torch, self._distributed = torch, distributed
         # Under torchrun, the store outlives the processes: faults are reported through it.
-        self._store, self.place, self.count = next(iter(distributed.rendezvous("env://")))
+        self._store, self.place, self.count = next(iter(rendezvous("env://")))
         self.first = self.place == 0
         self._try(self._compare, self._taken(device))
         self._on_gpus = device == "cuda"
         backend = "cpu:gloo,cuda:nccl" if device == "cuda" else "gloo"
-        settings = {"store": self._store, "rank": self.place, "world_size": self.count, "timeout": LONGEST_WAIT}
-        self._try(distributed.init_process_group, backend, **settings)
+        self._try(
+            distributed.init_process_group, backend,
+            store=self._store, rank=self.place, world_size=self.count, timeout=LONGEST_WAIT,
+        )  # fmt: skip
 
     def _taken(self, device: str) -> str:
         """Select this process's GPU; returns `device`, or why it cannot be used."""
@@ -150,7 +135,7 @@ class DistributedProcesses:
     def own(self, count: int) -> slice:
         return slice(self.place * count // self.count, (self.place + 1) * count // self.count)
 
-    def add(self, values: np.ndarray) -> None:
+    def add(self, values: "np.ndarray | Tensor") -> None:
         self._try(self._distributed.all_reduce, self._torch.as_tensor(values))
 
     def add_gradients(self, buffers: np.ndarray) -> None:
@@ -164,7 +149,7 @@ class DistributedProcesses:
         self.take_first(received)
         return float(received[0])
 
-    def take_first(self, values: np.ndarray) -> None:
+    def take_first(self, values: "np.ndarray | Tensor") -> None:
         self._try(self._distributed.broadcast, self._torch.as_tensor(values), 0)
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
@@ -183,20 +168,19 @@ class DistributedProcesses:
 
     def _abort(self) -> None:
         """Abort pending sums: a GPU would wait for the lost process before doing anything else."""
-        if self._distributed.is_initialized() and self._on_gpus:
+        world = self._distributed.group.WORLD
+        if world is not None and self._on_gpus:
             with suppress(RuntimeError):
-                self._distributed.group.WORLD._get_backend(self._torch.device("cuda")).abort()
+                world._get_backend(self._torch.device("cuda")).abort()
 
     def tell(self, text: str = "") -> str:
-        """The first process's text; the others' is ignored."""
-        content = np.frombuffer(text.encode(), np.uint8).copy() if self.first else None
-        length = int(self.of_first(len(content) if self.first else 0))
+        content = np.frombuffer(text.encode(), np.uint8).copy()
+        length = int(self.of_first(len(content)))
         content = content if self.first else np.empty(length, np.uint8)
         self.take_first(content)
         return content.tobytes().decode()
 
     def tell_fault(self, line: str) -> None:
-        """Leave this process's fault for the first one to report, unless another came before."""
         try:
             self._store.compare_set("stylerf fault", "", f"process {self.place}: {line}")
         except RuntimeError:  # the first process hosted the store, and is gone

@@ -1,17 +1,100 @@
-"""The training set: random rays with their target colors."""
+"""The training set: photos, in memory or mapped from a file, and random rays with their target colors."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import distance_transform_cdt
 
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.photos import gather
 from stylerf.srgb import codes_at
-from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels
+
+STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux maps 16 pages around it)
+
+
+def psnr_from_mse(mse: float) -> float:
+    """-10 log10(mse), dB, for values in 0..1."""
+    return -10.0 * math.log10(max(mse, 1e-12))
+
+
+@dataclass(frozen=True, eq=False)
+class Pixels:
+    """Photos one after another, row-major: values uint8 [sum of h w channels], with straight alpha for 4 channels.
+
+    values may be mapped from a file: `read` is called with the number of places read since, each of which may have
+    loaded up to STRETCH bytes, and releases what is too much.
+    """
+
+    values: np.ndarray
+    channels: int
+    read: Callable[[int], None] = lambda places: None
+
+    @classmethod
+    def of(cls, images: list[np.ndarray]) -> "Pixels":
+        """Copy uint8 images [h, w, 3 or 4] of equal channels into one array."""
+        return cls(np.concatenate([image.reshape(-1) for image in images]), images[0].shape[2])
+
+
+class LitPixels:
+    """Pixels near anything opaque, indexed 0, 1, ... in the order of views, rows and columns.
+
+    Stored as runs: for 300 images of an object megabytes, where an index per pixel would take gigabytes.
+    """
+
+    def __init__(self, alphas: Iterator[np.ndarray]) -> None:
+        """alphas: [h, w] of every view in turn."""
+        begins, lengths, before = [], [], 0
+        for alpha in alphas:
+            edges = np.diff(near_opaque(alpha).ravel().astype(np.int8), prepend=0, append=0)
+            rising = np.flatnonzero(edges == 1)
+            begins.append(before + rising)
+            lengths.append(np.flatnonzero(edges == -1) - rising)
+            before += alpha.size
+        self._begins = np.concatenate(begins)
+        # For each run, what to add to an index within it, and the first index after it.
+        self._after = np.cumsum(np.concatenate(lengths))
+        self._shifts = self._begins - np.concatenate([[0], self._after[:-1]])[: len(self._begins)]
+
+    def below(self, pixel: int) -> int:
+        """Number of them in the views before `pixel`, the first pixel of a view."""
+        runs = int(np.searchsorted(self._begins, pixel))
+        return int(self._after[runs - 1]) if runs else 0
+
+    def __getitem__(self, numbers: np.ndarray) -> np.ndarray:
+        """The pixels of these indices."""
+        return numbers + self._shifts[np.searchsorted(self._after, numbers, side="right")]
+
+
+def near_opaque(alpha: np.ndarray) -> np.ndarray:
+    """Pixels with alpha over 0, and those within 2 % of the height (at least 2 pixels) of them, bool [h, w]."""
+    if not alpha.any():
+        return np.zeros(alpha.shape, bool)
+    # The taxicab distance equals repeated dilation by a cross, in two passes.
+    return distance_transform_cdt(alpha == 0, metric="taxicab") <= max(2, alpha.shape[0] // 50)
+
 
 HIDDEN = 0.5  # alpha up to which a photo of a capture is masked
+
+
+def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
+    """Background colors [count, 3] float32; `random` is white without a generator."""
+    if kind == "random" and generator is not None:
+        return generator.random((count, 3), dtype=np.float32)
+    level = 0.0 if kind in ("black", "none") else 1.0
+    return np.full((count, 3), level, np.float32)
+
+
+def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
+    """Composite premultiplied rgb over a background."""
+    return rgb + (1 - alpha) * background
+
+
+def target(colors: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
+    """Composite straight rgba over a background."""
+    return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
@@ -24,7 +107,9 @@ def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
     return np.concatenate([rgb, np.ones_like(colors[:, 3:])], 1)
 
 
-def shown_rays(origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> tuple[np.ndarray, ...]:
+def shown_rays(
+    origins: np.ndarray, directions: np.ndarray, colors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The rays [n] that are not masked, made opaque; all if every one is masked."""
     shown = colors[:, 3] > HIDDEN
     shown = shown if shown.any() else np.ones_like(shown)
@@ -79,7 +164,7 @@ class RayDataset:
         among: int | None = None,
         lit_share: float = 0.9,
         part: slice = slice(None),
-    ):
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw `count` random rays of the first `among` views, and compute those of `part`.
 
         Returns:
@@ -108,24 +193,19 @@ class RayDataset:
         views = np.searchsorted(self._ends, index, side="right")
         return views, index - (self._ends[views] - self.sizes[views])
 
-    def at(self, views: np.ndarray, pixels: np.ndarray):
+    def of_views(
+        self, first: int, count: int, generator: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`count` random rays and their colors, of views from `first` on, each as likely; see at()."""
+        views = generator.integers(first, len(self.cameras), count)
+        return self.at(views, (generator.random(count) * self.sizes[views]).astype(np.int64))
+
+    def at(self, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colors = np.empty((n, 4), np.float32)
-        gather(
-            views,
-            pixels,
-            self.widths,
-            self.intrinsics,
-            self.poses,
-            self.starts,
-            self.bytes,
-            self.channels,
-            self.codes,
-            origins,
-            directions,
-            colors,
-        )
+        cameras, photos = (self.widths, self.intrinsics, self.poses), (self.starts, self.bytes, self.channels)
+        gather(views, pixels, *cameras, *photos, self.codes, origins, directions, colors)
         self.read(n)
         return origins, directions, colors

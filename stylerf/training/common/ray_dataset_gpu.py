@@ -10,8 +10,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.ray_samples import GpuRays
-from stylerf.training.common.pixels import STRETCH
-from stylerf.training.common.ray_dataset import HIDDEN, RayDataset
+from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, RayDataset
 
 AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the device
 
@@ -61,7 +60,9 @@ class GpuRayDataset:
 
     def _near_objects(self, dataset: RayDataset) -> Tensor:
         """The pixels near objects as an int32 list, which the device draws from; the dataset stores runs."""
-        count = 0 if dataset.lit is None else dataset.lit.below(len(dataset))
+        if dataset.lit is None:
+            return torch.zeros(1, dtype=torch.int32, device=self.device)
+        count = dataset.lit.below(len(dataset))
         there = torch.zeros(max(1, count), dtype=torch.int32, device=self.device)
         for at in range(0, count, AT_ONCE):
             part = dataset.lit[np.arange(at, min(at + AT_ONCE, count))].astype(np.int32)

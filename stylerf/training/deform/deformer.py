@@ -1,8 +1,11 @@
-"""Train a deformation through the grid that it is baked to (DeSRF, section 3.2).
+"""Train a deformation on photos, through the grid that it is baked to (DeSRF, section 3.2).
 
 Rays read a grid of displacements; gradients go to the grid's vertices, and from there through the network. Only
 vertices near something matter: the network is evaluated some tens of thousands of times per step, not per sample.
 """
+
+from abc import ABC, abstractmethod
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -18,23 +21,31 @@ from stylerf.fields.deformation import (
     seen_cells,
     vertices_of,
 )
+from stylerf.fields.marching import ScratchArena
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
-from stylerf.training.common.adam import Adam
+from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.training.common.adam import Adam, Optimizer, moments_of, restore_moments
+from stylerf.training.common.ray_dataset import over, target, unhidden
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
+Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 
 
-class Deformer:
+class GridDeformer(ABC, Generic[Buffer]):
     """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
     The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
-    as the nearest of these. gradient_clip: of the network, see Adam. gradients [threads, 3 vertices^3]: where
-    backward() adds dL/dD.
+    as the nearest of these. gradient_clip: of the network, see Adam. gradients: where backward() adds dL/dD.
     """
+
+    device = torch.device("cpu")  # of the network
+    gradients: Buffer
+    adam: Optimizer
+    _grid: Tensor  # [vertices^3, 3], that rays read
 
     def __init__(
         self,
@@ -56,49 +67,37 @@ class Deformer:
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
-        self._encoded = self._there(deformation.encode(torch.from_numpy(places.astype(np.float32))))
-        self._nearest = self._there(torch.from_numpy(nearest_of(active, vertices)))
-        self._pairs = [self._there(pairs) for pairs in _pairs(active, vertices)]
-        field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
+        self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32))).to(self.device)
+        self._nearest = torch.from_numpy(nearest_of(active, vertices)).to(self.device)
+        self._pairs = [pairs.to(self.device) for pairs in _pairs(active, vertices)]
+        self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
         self._prepare(threads)
         self.bake()
         self.look()
 
-    # -- on the CPU; deformer_gpu.py overrides these ----------------------------------------------------------------
+    # -- where it trains --------------------------------------------------------------------------------------------
 
-    def _there(self, tensor: Tensor) -> Tensor:
-        """A host tensor on the network's device."""
-        return tensor
-
+    @abstractmethod
     def _prepare(self, threads: int) -> None:
-        """Create buffers and optimizer; the field has its grid."""
-        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
+        """Create `gradients`, `adam` and `_grid`; the field has its grid."""
 
+    @abstractmethod
     def _gathered(self) -> Tensor:
         """dL/dD [vertices^3, 3], from `gradients`."""
-        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
 
-    def _write(self, moved: Tensor) -> None:
-        """Write D [vertices^3, 3] to the grid that rays read."""
-        self.field.displacement.reshape(-1, 3)[:] = moved.numpy()
-
+    @abstractmethod
     def look(self) -> None:
         """Update the occupancy of the deformed field."""
-        # The next loss reports values that are not finite.
-        if not np.isfinite(self.field.displacement).all():
-            return
-        self.field.occupancy = displaced_occupancy(self.rest, self.field.displacement)
 
+    @abstractmethod
     def _place(self, distances: np.ndarray) -> None:
         """Restore the deformed field's occupancy from a checkpoint."""
-        self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
-        self.field.occupancy.distances = distances.copy()
 
+    @abstractmethod
     def _number(self, size: Tensor) -> float:
-        """A number of this step."""
-        return float(size)
+        """A number of this step; on a GPU, of some steps before."""
 
+    @abstractmethod
     def collect(self) -> None:
         """Copy what was learned into `deformation` and `field`."""
 
@@ -108,7 +107,7 @@ class Deformer:
         """Evaluate the network and write the grid that rays read."""
         self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
         self._moved = self.deformation.network(self._encoded, self._values)
-        self._write(self._moved.detach()[self._nearest])
+        self._grid.copy_(self._moved.detach()[self._nearest])
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
         """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
@@ -155,20 +154,45 @@ class Deformer:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint."""
-        moments = {f"adam.{name}": array for name, array in self.adam.arrays().items()}
-        return {
-            "values": self.values(),
-            "taken": np.asarray([self.taken]),
-            "distances": self.field.occupancy.distances,
-            **moments,
-        }
+        values, taken = self.values(), np.asarray([self.taken])
+        own = {"values": values, "taken": taken, "distances": self.field.occupancy.distances}
+        return own | moments_of({"adam": self.adam})
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays()."""
-        self.adam.restore({name: arrays[f"adam.{name}"] for name in ("first", "second", "steps")})
+        restore_moments({"adam": self.adam}, arrays)
         self.taken = int(arrays["taken"][0])
         self._set(arrays["values"])
         self._place(arrays["distances"])
+
+
+class Deformer(GridDeformer[np.ndarray]):
+    """A deformer on the CPU. gradients: [threads, 3 vertices^3]."""
+
+    def _prepare(self, threads: int) -> None:
+        self._grid = torch.from_numpy(self.grid).view(-1, 3)
+        self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
+        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
+
+    def _gathered(self) -> Tensor:
+        return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
+
+    def look(self) -> None:
+        # The next loss reports values that are not finite.
+        if np.isfinite(self.grid).all():
+            self.field.occupancy = displaced_occupancy(self.rest, self.grid)
+
+    def _place(self, distances: np.ndarray) -> None:
+        self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
+        self.field.occupancy.distances = distances.copy()
+
+    def _number(self, size: Tensor) -> float:
+        return float(size)
+
+    def collect(self) -> None: ...
+
+
+AnyDeformer = GridDeformer[np.ndarray] | GridDeformer[Tensor]
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
@@ -188,3 +212,41 @@ def random_rays(cameras: list[Camera], count: int, near: float, generator: np.ra
         origins.append(of_camera[0])
         directions.append(of_camera[1])
     return Rays.of(np.concatenate(origins), np.concatenate(directions), near)
+
+
+class PhotoError:
+    """Mean squared error of a deforming field's rays, and its gradient.
+
+    background: gray level behind the field. weight_threshold: see render_rays.
+    """
+
+    def __init__(self, deformer: Deformer, background: float, weight_threshold: float, threads: int) -> None:
+        self.deformer, self.background, self.threads = deformer, np.float32(background), threads
+        self.weight_threshold = weight_threshold
+        self._memory = ScratchArena()
+
+    def _rendered(
+        self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray | None = None
+    ) -> tuple[Rendered, np.ndarray]:
+        """Rendered rays, and their difference from the photos over the background."""
+        field, back = self.deformer.field, self.background
+        rays = Rays.of(origins, directions, field.space.near, jitter)
+        threshold, arena = self.weight_threshold, self._memory.reset()
+        rendered = render_rays(field, rays, threads=self.threads, weight_threshold=threshold, arena=arena)
+        found = over(rendered.out[:, :3], rendered.out[:, 3:4], back)
+        if field.opaque_background:
+            colors = unhidden(colors, found)
+        return rendered, found - target(colors, back)
+
+    def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
+        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
+        return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
+
+    def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
+        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
+        rendered, difference = self._rendered(origins, directions, colors, jitter)
+        gradients = np.zeros_like(rendered.out)
+        gradients[:, :3] = difference * np.float32(2 / difference.size)
+        gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
+        backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
+        return float(np.square(difference).mean())

@@ -18,15 +18,15 @@ from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.ray_dataset_gpu import unhidden
-from stylerf.training.deform.deformer import Deformer
+from stylerf.training.deform.deformer import GridDeformer
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
 LIMIT = 512  # samples on a ray
 
 
-class GpuDeformer(Deformer):
-    """Deformer on a GPU. device_field: the deforming field there, through which rays are marched.
+class GpuDeformer(GridDeformer[Tensor]):
+    """A deformer on a GPU. device_field: the deforming field there, through which rays are marched.
 
     What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
     collect() alone. gradients: flat [3 vertices^3].
@@ -48,18 +48,18 @@ class GpuDeformer(Deformer):
         super().__init__(field, deformation, cameras, vertices, seed, threads, gradient_clip)
         self.collect()
 
-    def _there(self, tensor: Tensor) -> Tensor:
-        return tensor.to(self.device)
-
     def _prepare(self, threads: int) -> None:
         self.device_field = GpuField(self.field, self.device)
-        self._at_rest = self._there(torch.from_numpy(self.rest.distances))
+        assert self.device_field.displacement is not None
+        self._grid = self.device_field.displacement.view(-1, 3)
+        self._at_rest = torch.from_numpy(self.rest.distances).to(self.device)
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
         self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.gradient_clip)
-        self._sizes, self._brought = self._no_sizes(), None
+        self._sizes = self._no_sizes()
+        self._brought: Tensor | None = None
 
-    def _no_sizes(self) -> AsyncReadback:
+    def _no_sizes(self) -> AsyncReadback[None, float]:
         return AsyncReadback(self.device, 1, lambda sums, _: sums[0], 0.0)
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
@@ -69,19 +69,15 @@ class GpuDeformer(Deformer):
     def _gathered(self) -> Tensor:
         return self.gradients.view(-1, 3)
 
-    def _write(self, moved: Tensor) -> None:
-        self.device_field.displacement.view(-1, 3).copy_(moved)
-
     def look(self) -> None:
         cells, field = self.rest.cells, self.device_field
         reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
-        field.distances = distances_to(
-            displaced_cells(self._at_rest, cells, reach, field.displacement, field.vertices)
-        ).flatten()
+        occupied = displaced_cells(self._at_rest, cells, reach, self._grid.view(-1), field.vertices)
+        field.distances = distances_to(occupied).flatten()
 
     def _place(self, distances: np.ndarray) -> None:
         # As in look(): GPU and CPU resume each other's checkpoints.
-        self.device_field.distances = self._there(torch.from_numpy(np.minimum(distances, FARTHEST_CELL)))
+        self.device_field.distances = torch.from_numpy(np.minimum(distances, FARTHEST_CELL)).to(self.device)
         self.collect()
 
     def _number(self, size: Tensor) -> float:
@@ -89,8 +85,8 @@ class GpuDeformer(Deformer):
         return self._sizes.send(None)
 
     def collect(self) -> None:
-        self.deformation.values[:] = self.adam.values.cpu().numpy()
-        self.field.displacement.reshape(-1)[:] = self.device_field.displacement.cpu().numpy()
+        self.deformation.values[:] = torch.as_tensor(self.adam.values).cpu().numpy()
+        self.grid.reshape(-1, 3)[:] = self._grid.cpu().numpy()
         if self._brought is not self.device_field.distances:  # the distances of a fine grid take a while
             self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
             self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)
@@ -98,14 +94,13 @@ class GpuDeformer(Deformer):
 
 
 class GpuPhotoError:
-    """PhotoError of a GpuDeformer. learn() returns the error of some steps before; `threads` is unused."""
+    """PhotoError of a GpuDeformer; learn() returns the error of some steps before. `threads` is unused."""
 
     def __init__(self, deformer: GpuDeformer, background: float, weight_threshold: float, threads: int) -> None:
         self.deformer, self.background, self.weight_threshold = deformer, background, weight_threshold
         self._reports = AsyncReadback(deformer.device, 3, _mean_error, 0.0)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
-        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
         device, field, total = self.deformer.device, self.deformer.device_field, 0.0
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
@@ -119,7 +114,6 @@ class GpuPhotoError:
         return total / (3 * len(origins))
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
-        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
         device, field, n = self.deformer.device, self.deformer.device_field, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
         room, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold

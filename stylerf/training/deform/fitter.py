@@ -4,17 +4,21 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.training.common.pixels import psnr_from_mse
-from stylerf.training.common.ray_dataset import RayDataset, shown_rays
-from stylerf.training.deform.deformer import Deformer
-from stylerf.training.deform.photo_error import PhotoError
+from stylerf.training.common.ray_dataset import RayDataset, psnr_from_mse, shown_rays
+from stylerf.training.deform.deformer import AnyDeformer, Deformer, PhotoError
 
+if TYPE_CHECKING:
+    from stylerf.training.deform.deformer_gpu import GpuPhotoError
+
+PhotoErrors: TypeAlias = "PhotoError | GpuPhotoError"
+DeformBackend = tuple[Callable[..., AnyDeformer], Callable[..., PhotoErrors]]
 FIXED_RAYS = 8192
 LOOK_EVERY = 200  # steps
 
@@ -72,7 +76,7 @@ class DeformationFitter:
         seed: int,
         threads: int,
         held_out: int = 0,
-        backend: tuple[Callable[..., Deformer], Callable[..., PhotoError]] = (Deformer, PhotoError),
+        backend: DeformBackend = (Deformer, PhotoError),
     ) -> None:
         self.field, self.dataset, self.settings, self.seed = scene, dataset, settings, seed
         new_deformer, new_error = backend
@@ -85,14 +89,12 @@ class DeformationFitter:
         self._best, self._rest = deformation.values.copy(), deformation.values.copy()
         self.between_steps = True
 
-    def _fixed_rays(self, generator: np.random.Generator):
+    def _fixed_rays(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rays of the held-out views; of all views if none is held out."""
-        views = len(self.dataset.cameras)
-        if self.among == views:
+        if self.among == len(self.dataset.cameras):
             rays = self.dataset.draw(FIXED_RAYS, generator)[:3]
         else:
-            chosen = generator.integers(self.among, views, FIXED_RAYS)
-            rays = self.dataset.at(chosen, (generator.random(FIXED_RAYS) * self.dataset.sizes[chosen]).astype(np.int64))
+            rays = self.dataset.of_views(self.among, FIXED_RAYS, generator)
         return shown_rays(*rays) if self.field.opaque_background else rays
 
     @property

@@ -3,51 +3,14 @@
 The loop in trainer.py chooses pixels and computes losses with torch; an engine holds the module and takes the step.
 """
 
-from typing import Any, Protocol
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import DEGREE, PaletteModule
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.training.common.adam import Adam
-
-
-class EditEngine(Protocol):
-    """device: of the tensors. kept: indices of the active colors there, or None. evaluator: the present module."""
-
-    device: torch.device
-    kept: Tensor | None
-    evaluator: Any
-
-    def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
-        """Features, harmonics [n, 9] and photo colors [n, 3] of pixels `rows` [n] of view `at`.
-
-        Ray ends are moved by jitter [n, 1]. The backward of the features adds to the table's gradients.
-        """
-
-    def leaf(self) -> Tensor:
-        """A copy of the module's `values` that requires gradients."""
-
-    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        """Step both optimizers, with the gradients of `values` and of the table."""
-
-    def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
-        """Parts of a loss as numbers. A GPU returns those of the newest step that has finished, none at first."""
-
-    def settle(self) -> dict[str, float]:
-        """Wait for the last step; its parts."""
-
-    def collect(self) -> None:
-        """Copy what was learned into the module's own arrays."""
-
-    def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
-
-    def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Resume from the module's present arrays and moments()."""
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 
 
 def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
@@ -57,9 +20,16 @@ def groups_of(module: PaletteModule) -> list[tuple[int, int, float]]:
 
 
 class CpuEditEngine:
-    """Numba kernels on `threads` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits.
 
-    device, kept = torch.device("cpu"), None
+    Attributes:
+        device: Of the tensors.
+        kept: Indices of the active colors there, or None.
+        evaluator: The present module.
+    """
+
+    device = torch.device("cpu")
+    kept: Tensor | None = None
 
     def __init__(self, views: list[EditView], module: PaletteModule, threads: int) -> None:
         self.views, self.evaluator = views, module
@@ -69,32 +39,41 @@ class CpuEditEngine:
         self._last: dict[str, float] = {}
 
     def pixels(self, at: int, rows: np.ndarray, jitter: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+        """Features, harmonics [n, 9] and photo colors [n, 3] of pixels `rows` [n] of view `at`.
+
+        Ray ends are moved by jitter [n, 1]. The backward of the features adds to the table's gradients.
+        """
         view = self.views[at]
         x = self.evaluator.local(view.x[rows] + view.along[rows] * jitter)
         basis = torch.from_numpy(harmonics(view.directions[rows], DEGREE))
         return self.evaluator.encoding(x, self.table.gradients), basis, torch.from_numpy(view.target[rows])
 
     def leaf(self) -> Tensor:
+        """A copy of the module's `values` that requires gradients."""
         return self.evaluator.leaf()
 
-    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        self.networks.gradients[0] += values.grad.numpy()
+    def step(self, gradient: Tensor, rate: float, table_rate: float) -> None:
+        """Step both optimizers, with the gradient of the leaf and that of the table."""
+        self.networks.gradients[0] += gradient.numpy()
         self.networks.step(rate)
         self.table.step(table_rate)
 
     def report(self, parts: dict[str, Tensor]) -> dict[str, float]:
+        """Parts of a loss as numbers. A GPU returns those of the newest step that has finished, none at first."""
         self._last = {name: float(part.detach()) for name, part in parts.items()}
         return self._last
 
     def settle(self) -> dict[str, float]:
+        """Wait for the last step; its parts."""
         return self._last
 
-    def collect(self) -> None: ...
+    def collect(self) -> None:
+        """Copy what was learned into the module's own arrays, if it is not there already."""
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("table", self.table), ("networks", self.networks)
-        return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
+        """The optimizers' moments, by name; the next step may overwrite them."""
+        return moments_of({"table": self.table, "networks": self.networks})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        for name, adam in (("table", self.table), ("networks", self.networks)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        """Resume from the module's present arrays and moments()."""
+        restore_moments({"table": self.table, "networks": self.networks}, moments)

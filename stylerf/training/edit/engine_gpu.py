@@ -4,11 +4,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import DEGREE, PaletteModule
 from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.memory import free_on
 from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.bounded_cache import BoundedCache
@@ -34,7 +35,8 @@ class GpuEditEngine:
         self.evaluator = GpuPaletteModule(module, self.device)
         memory = min(MEMORY, free_on(self.device, 3 * MEMORY) / 3) if memory is None else memory
         self._there = BoundedCache(self._moved, lambda parts: sum(part.nbytes for part in parts), len(views), memory)
-        self._reports = AsyncReadback(self.device, MOST_PARTS, lambda values, names: dict(zip(names, values)), {})
+        nothing: dict[str, float] = {}
+        self._reports = AsyncReadback(self.device, MOST_PARTS, _named, nothing)
         self._new_adams()
 
     def _new_adams(self) -> None:
@@ -59,8 +61,8 @@ class GpuEditEngine:
     def leaf(self) -> Tensor:
         return self.evaluator.networks.detach().clone().requires_grad_()
 
-    def step(self, values: Tensor, rate: float, table_rate: float) -> None:
-        self.networks.gradients += values.grad
+    def step(self, gradient: Tensor, rate: float, table_rate: float) -> None:
+        self.networks.gradients += gradient
         self.networks.step(rate)
         self.table.step(table_rate)
 
@@ -76,11 +78,13 @@ class GpuEditEngine:
         self.evaluator.collect()
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("table", self.table), ("networks", self.networks)
-        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"table": self.table, "networks": self.networks})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         self.evaluator.take_up()
         self._new_adams()
-        for name, adam in (("table", self.table), ("networks", self.networks)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"table": self.table, "networks": self.networks}, moments)
+
+
+def _named(values: list[float], names: tuple[str, ...]) -> dict[str, float]:
+    return dict(zip(names, values))

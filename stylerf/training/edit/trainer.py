@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import torch
@@ -15,21 +16,26 @@ from torch import Tensor
 
 from stylerf import validation
 from stylerf.editing import palette_losses
-from stylerf.editing.edit_views import EditView
-from stylerf.editing.palette_losses import EditWeights, Neighbors
+from stylerf.editing.extraction import EditView
+from stylerf.editing.palette_losses import EditWeights, Neighbors, figures_of, kept_colors, shares_of
 from stylerf.editing.palette_module import (
     MOST_COLORS,
     Mixture,
+    PaletteEvaluator,
     PaletteModule,
     box_around,
     clustered_palette,
     random_palette,
 )
-from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
 from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.training.edit.engine import CpuEditEngine, EditEngine
+from stylerf.training.edit.engine import CpuEditEngine
+
+if TYPE_CHECKING:
+    from stylerf.training.edit.engine_gpu import GpuEditEngine
+
+EditEngine: TypeAlias = "CpuEditEngine | GpuEditEngine"
 
 SAMPLED_COLORS = 20_000  # pixels of the region that initial palette and mean color are taken from
 # Fractions of `seconds` for the phases.
@@ -136,7 +142,7 @@ class EditTrainer:
             raise InvalidValue("a style image needs a feature extractor, and an extractor a style image")
         self._module, self.settings, self.seed, self.threads = module, settings, seed, threads
         self.style: RegionStyle | None = None
-        if style is not None:
+        if style is not None and extractor is not None:
             if settings.preserve_color:
                 style = in_colors_of(style, sampled_colors(self.views, np.random.default_rng([seed, 6])))
             self.style = RegionStyle(extractor, style, settings.style_side)
@@ -152,7 +158,7 @@ class EditTrainer:
         return self._module
 
     @property
-    def evaluator(self):
+    def evaluator(self) -> PaletteEvaluator:
         """The present module, on the engine's device."""
         return self.engine.evaluator
 
@@ -193,9 +199,9 @@ class EditTrainer:
         number = list(self._steps()).index(self.state.phase)
         generator = np.random.default_rng([self.seed, 3, number, self.state.step])
         at = self._view_of_step(number)
-        view, pictured = self.views[at], self.style is not None and self.state.phase != "palette"
+        view, style = self.views[at], None if self.state.phase == "palette" else self.style
         rows = np.arange(len(view))
-        if not pictured and len(view) > self.settings.pixels:
+        if style is None and len(view) > self.settings.pixels:
             rows = generator.integers(0, len(view), self.settings.pixels)
         # LAENeRF's jitter: the ray ends anywhere within what it sees.
         jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
@@ -203,14 +209,15 @@ class EditTrainer:
         values = self.engine.leaf()
         mixture = self._module.mix(values, phi, basis, self.engine.kept)
         parts = self._of_pixels(mixture, target, self._module.palette_of(values))
-        if pictured:
-            parts |= self._of_picture(at, mixture.colors, target)
+        if style is not None:
+            parts |= self._of_picture(style, at, mixture.colors, target)
         # Parts of weight 0 are left out of the graph.
         weights = {name: getattr(self.settings.weights, name) for name in parts}
         parts = {name: part for name, part in parts.items() if weights[name]}
         sum(weights[name] * part for name, part in parts.items()).backward()
         decay = self.settings.final_rate**self.whole_progress
-        self.engine.step(values, self.settings.rate * decay, self.settings.table_rate * decay)
+        assert values.grad is not None
+        self.engine.step(values.grad, self.settings.rate * decay, self.settings.table_rate * decay)
         return self.engine.report(parts)
 
     def _view_of_step(self, number: int) -> int:
@@ -233,15 +240,15 @@ class EditTrainer:
             parts["distinct"] = palette_losses.likeness(palette[active])
         return parts
 
-    def _of_picture(self, at: int, colors: Tensor, target: Tensor) -> dict[str, Tensor]:
+    def _of_picture(self, style: RegionStyle, at: int, colors: Tensor, target: Tensor) -> dict[str, Tensor]:
         if at not in self._pictured:
             view, device = self.views[at], self.engine.device
             transition = torch.from_numpy(view.transition).to(device)
-            self._pictured[at] = Neighbors.of(view, device), self.style.canvas(view), transition
+            self._pictured[at] = Neighbors.of(view, device), style.canvas(view), transition
         neighbors, canvas, transition = self._pictured[at]
         differences = neighbors.differences(colors)
         return {
-            "style": self.style.distance(colors, canvas),
+            "style": style.distance(colors, canvas),
             "variation": palette_losses.variation(differences, neighbors),
             "edges": palette_losses.edge_contrast(differences, neighbors),
             "smooth": palette_losses.transition_error(colors, target, transition).mean(),
@@ -293,9 +300,9 @@ class EditTrainer:
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to resume from."""
-        arrays = {f"module.{k}": v.copy() for k, v in self.module.arrays().items()}
-        arrays["active"] = self._module.active.copy()
-        return {"state": vars(self.state)}, arrays | self.engine.moments()
+        arrays = {f"module.{k}": v for k, v in self.module.arrays().items()} | self.engine.moments()
+        arrays["active"] = self._module.active
+        return {"state": vars(self.state)}, {k: v.copy() for k, v in arrays.items()}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """Restore a checkpoint(), of whichever device."""

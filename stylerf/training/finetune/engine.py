@@ -4,18 +4,18 @@ The loop in trainer.py chooses pixels and learning rate; an engine takes the ste
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from stylerf.fields.marching import ScratchArena
+from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, unhidden
+from stylerf.training.common.ray_dataset import RayDataset, over, target, unhidden
 
 
 @dataclass(frozen=True)
@@ -67,27 +67,6 @@ class FineTuneBatch:
     smoothness: float
 
 
-class FineTuneEngine(Protocol):
-    """field: the present field, its arrays up to date."""
-
-    field: RadianceField
-
-    def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
-
-        A GPU returns those of the newest step that has finished, none before the first.
-        """
-
-    def settle(self) -> dict[str, float]:
-        """Wait for the last step; its errors."""
-
-    def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
-
-    def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Resume from the field's present arrays and moments()."""
-
-
 def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
     """Means by name, from sums over rays outside the edit, inside it, and of depths inside it."""
     return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
@@ -111,16 +90,20 @@ class CpuFineTuneEngine:
         self._memory = ScratchArena()
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
+        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
+
+        A GPU returns those of the newest step that has finished, none before the first.
+        """
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
         origins, directions, colors = self.dataset.at(batch.views, batch.pixels)
         rays = Rays.of(origins, directions, field.space.near, batch.jitter)
         rendered = render_rays(field, rays, threads=self.threads, arena=self._memory.reset())
         out, level = rendered.out, np.float32(s.background)
-        found = out[:, :3] + (1 - out[:, 3:4]) * level
+        found = over(out[:, :3], out[:, 3:4], level)
         if field.opaque_background and self.dataset.channels == 4:
             colors = unhidden(colors, found)
-        difference = found - (colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * level)
+        difference = found - target(colors, level)
         gradients = np.zeros_like(out)
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)
@@ -139,33 +122,31 @@ class CpuFineTuneEngine:
         within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
-        self._step(batch, moving)
+        for part, adam, factor in self._trained():
+            if batch.smoothness > 0 and self.group.first:
+                part.smooth(batch.smoothness, adam.gradients[0])
+            self.group.add_gradients(adam.gradients)
+            adam.step(batch.rate * factor)
         squares = np.square(difference).mean(1)
         sums = np.array([squares[edited:].sum(), squares[:edited].sum(), depth_error], np.float64)
         self.group.add(sums)
         self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
         return self._last
 
-    def _step(self, batch: FineTuneBatch, moving: bool) -> None:
-        """Step both optimizers, if the density learns, with the gradients of all processes."""
-        if batch.smoothness > 0 and self.group.first:
-            self.field.color.smooth(batch.smoothness, self.color_adam.gradients[0])
-            if moving:
-                self.field.density.smooth(batch.smoothness, self.density_adam.gradients[0])
-        self.group.add_gradients(self.color_adam.gradients)
-        if moving:
-            self.group.add_gradients(self.density_adam.gradients)
-        self.color_adam.step(batch.rate)
-        if moving:
-            self.density_adam.step(batch.rate * self.settings.density_factor)
+    def _trained(self) -> list[tuple[Part, Adam, float]]:
+        """(part, its optimizer, its rate over that of the colors) of what learns."""
+        color, density = (self.field.color, self.color_adam, 1.0), (self.field.density, self.density_adam)
+        factor = self.settings.density_factor
+        return [color, (*density, factor)] if factor > 0 else [color]
 
     def settle(self) -> dict[str, float]:
+        """Wait for the last step; its errors."""
         return self._last
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v.copy() for name, adam in both for k, v in adam.arrays().items()}
+        """The optimizers' moments, by name; the next step may overwrite them."""
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        """Resume from the field's present arrays and moments()."""
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, moments)

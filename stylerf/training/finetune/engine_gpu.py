@@ -7,11 +7,12 @@ import numpy as np
 import torch
 
 from stylerf.fields.gpu.field import GpuField
-from stylerf.fields.gpu.parts import marked_cells
+from stylerf.fields.gpu.parts import GpuPart, marked_cells
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch
 from stylerf.rendering.rays import SAMPLES_PER_RAY
+from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.process_group import ALONE, ProcessGroup
@@ -42,23 +43,23 @@ class GpuFineTuneEngine:
         self._within = None
         if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
-        self._reports = AsyncReadback(self.device, 5, self._errors, {}, in_step=group.count > 1)
+        nothing: dict[str, float] = {}
+        self._reports = AsyncReadback(self.device, 5, self._errors, nothing, in_step=group.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:
         """The host's arrays, moments at zero."""
         self._stale = False
         self.device_field = GpuField(self._host, self.device)
-        self.color_adam = GpuAdam(self.device_field.color.values, self.device_field.color.groups)
-        self.density_adam = GpuAdam(self.device_field.density.values, self.device_field.density.groups)
+        self.color_adam = GpuAdam.of(self.device_field.color)
+        self.density_adam = GpuAdam.of(self.device_field.density)
 
     @property
     def field(self) -> RadianceField:
         if self._stale:
             # The occupancy stays as it is: see trainer.py.
-            device = self.device_field
-            for own, learned in ((self._host.color, device.color), (self._host.density, device.density)):
-                own.values[:] = learned.values.cpu().numpy()
+            for part, adam in ((self._host.color, self.color_adam), (self._host.density, self.density_adam)):
+                part.values[:] = adam.values.cpu().numpy()
             self._stale = False
         return self._host
 
@@ -87,7 +88,7 @@ class GpuFineTuneEngine:
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients
         distance = s.near_scaling_distance
         field.backward(rendered, gradients, *to, near_scaling_distance=distance, density_within=self._within)
-        for part, adam, factor in self._taught():
+        for part, adam, factor in self._trained():
             if batch.smoothness > 0 and self.group.first:
                 part.smooth(batch.smoothness, adam.gradients)
             self.group.add(adam.gradients)
@@ -96,11 +97,11 @@ class GpuFineTuneEngine:
         self._stale = True
         return self._reports.send(batch.inside)
 
-    def _taught(self) -> list[tuple]:
+    def _trained(self) -> list[tuple[GpuPart, GpuAdam, float]]:
         """(part, its optimizer, its rate over that of the colors) of what learns."""
-        color = self.device_field.color, self.color_adam, 1.0
-        density = self.device_field.density, self.density_adam, self.settings.density_factor
-        return [color, density] if density[2] > 0 else [color]
+        color, density = (self.device_field.color, self.color_adam, 1.0), (self.device_field.density, self.density_adam)
+        factor = self.settings.density_factor
+        return [color, (*density, factor)] if factor > 0 else [color]
 
     def _errors(self, sums: list[float], inside: int) -> dict[str, float]:
         outside, within, depth, lost_outside, lost_inside = sums
@@ -111,10 +112,8 @@ class GpuFineTuneEngine:
         return self._reports.settle()
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
         self._take_up()
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: moments[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, moments)

@@ -7,7 +7,8 @@ lost thin cells all over the scene (fox: background error 1.14 times that before
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -17,7 +18,12 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.training.common.adam import SMOOTH_EVERY
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
-from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneEngine, FineTuneSettings
+from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneSettings
+
+if TYPE_CHECKING:
+    from stylerf.training.finetune.engine_gpu import GpuFineTuneEngine
+
+FineTuneEngine: TypeAlias = "CpuFineTuneEngine | GpuFineTuneEngine"
 
 
 @dataclass
@@ -26,10 +32,7 @@ class FineTuneState:
 
     step: int = 0
     seconds: float = 0.0
-    curve: list[dict] | None = None
-
-    def __post_init__(self) -> None:
-        self.curve = [] if self.curve is None else self.curve
+    curve: list[dict] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +108,10 @@ class FineTuner:
             (views[around], pixels[around]),
             self.dataset.choose(others, generator, part=_overlap(own, s.rays - others, others)),
         )
+        own_views, own_pixels = (np.concatenate(of_each) for of_each in zip(*drawn))
         return FineTuneBatch(
-            *(np.concatenate(two) for two in zip(*drawn)),
+            own_views,
+            own_pixels,
             jitter=generator.random(s.rays, dtype=np.float32)[own],
             depth=self.edited.depth[chosen],
             inside=inside,
@@ -141,8 +146,8 @@ class FineTuner:
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to resume from."""
-        arrays = {f"field.{k}": v.copy() for k, v in self.field.arrays().items()}
-        return {"state": vars(self.state)}, arrays | self.engine.moments()
+        arrays = {f"field.{k}": v for k, v in self.field.arrays().items()} | self.engine.moments()
+        return {"state": vars(self.state)}, {k: v.copy() for k, v in arrays.items()}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """Restore a checkpoint(), of whichever device."""

@@ -8,8 +8,7 @@ before. What the views do not miss stays away, and makes every later step cheape
 import math
 from dataclasses import replace
 
-from stylerf.training.fit.capacity_levels import CapacityLevel, Kinds
-from stylerf.training.fit.settings import FitSettings, FitState, Trial
+from stylerf.training.fit.settings import CapacityLevel, FitSettings, FitState, Kinds, Trial
 
 MIN_STEPS_PER_LEVEL = 100
 # Length of a pruning's trial: fraction of the budget, within these numbers of steps. A level, too, gets at least
@@ -69,19 +68,6 @@ PRUNINGS = {
 OF_RANKS = ("density ranks", "color ranks")
 
 
-def named(level: CapacityLevel, kinds: Kinds, settings: FitSettings) -> str:
-    """A capacity as text: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
-    ranks = []
-    if kinds.density == "vm":
-        ranks.append(level.density_rank)
-    if kinds.color == "vm":
-        ranks.append(level.color_rank)
-    degree = min(level.degree, settings.degree)
-    coarser = f"+{level.color_resolution}^3" if level.color.resolution != level.resolution else ""
-    words = f"{level.resolution}^3{coarser}" + (f" rank {'+'.join(map(str, ranks))}" if ranks else "")
-    return words + ("" if degree == settings.degree else f" degree {degree}")
-
-
 class CapacitySearch:
     """Decides what is tried next and whether it stays; holds no arrays.
 
@@ -96,8 +82,21 @@ class CapacitySearch:
         """The present capacity."""
         return replace(self.settings.levels[self.state.level], **self.state.pruned)
 
+    @property
+    def trial(self) -> Trial:
+        """The change on trial; to be asked for only while there is one."""
+        assert self.state.trial is not None
+        return self.state.trial
+
     def name(self, level: CapacityLevel) -> str:
-        return named(level, self.settings.kinds, self.settings)
+        """A capacity as text: 128^3 rank 16+24; with a coarser color, 256^3+128^3 rank 16+24."""
+        kinds, wanted = self.settings.kinds, self.settings.degree
+        vm = (kinds.density, level.density_rank), (kinds.color, level.color_rank)
+        ranks = [str(rank) for kind, rank in vm if kind == "vm"]
+        degree = min(level.degree, wanted)
+        coarser = f"+{level.color_resolution}^3" if level.color.resolution != level.resolution else ""
+        words = f"{level.resolution}^3{coarser}" + (f" rank {'+'.join(ranks)}" if ranks else "")
+        return words + ("" if degree == wanted else f" degree {degree}")
 
     # -- when -------------------------------------------------------------------------------------------------------
 
@@ -182,7 +181,7 @@ class CapacitySearch:
         After a few hundred of very many steps a level shows little, and noise may hide it: none is dropped that has had
         less than TRIAL_SHARE of the budget.
         """
-        trial = self.state.trial
+        trial = self.trial
         until = min(trial.began_at + TRIAL_SHARE, self.settings.held_out_until)
         if not trial.grows or progress >= until or self._gained(quality, parameters):
             return False
@@ -191,19 +190,21 @@ class CapacitySearch:
 
     def _gained(self, quality: float, parameters: int) -> bool:
         """Whether the level on trial has gained enough; one that is no larger need gain nothing."""
-        trial, settings = self.state.trial, self.settings
+        trial, settings = self.trial, self.settings
         required = settings.min_gain if parameters > trial.parameters else 0.0
         return quality - trial.before >= required or settings.force_growth
 
     def hopeless(self, quality: float) -> bool:
         """Whether a pruning, just made, has lost more than it can recover."""
-        trial = self.state.trial
+        trial = self.trial
         bound = HOPELESS_RANKS if trial.what in OF_RANKS else HOPELESS
         return not min(trial.before, ROUNDING_PSNR) - quality <= bound  # written so that NaN is hopeless
 
     def enough(self, quality: float) -> bool:
         """Whether the views lose almost nothing by the pruning on trial."""
-        return quality >= min(self.state.unpruned, ROUNDING_PSNR) - self.settings.min_gain
+        unpruned = self.state.unpruned
+        assert unpruned is not None  # since the pruning began
+        return quality >= min(unpruned, ROUNDING_PSNR) - self.settings.min_gain
 
     @property
     def rate(self) -> float:
@@ -232,7 +233,7 @@ class CapacitySearch:
 
     def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
         """End the trial: whether the change is kept, and the reason. parameters: of the field on trial."""
-        trial, old, new = self.state.trial, self.name(self.state.trial.level), self.name(self.level)
+        trial, old, new = self.trial, self.name(self.trial.level), self.name(self.level)
         gain = quality - trial.before
         if trial.grows:
             kept = self._gained(quality, parameters)
@@ -261,7 +262,7 @@ class CapacitySearch:
 
     def end(self, kept: bool) -> None:
         """End the trial; unless the change is kept, restore the capacity before it."""
-        state, trial = self.state, self.state.trial
+        state, trial = self.state, self.trial
         state.trial = None
         if kept:
             return

@@ -6,17 +6,17 @@ the steps, renders, and updates the occupancy grid.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
 from stylerf.fields.marching import ScratchArena
+from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, unhidden
+from stylerf.training.common.ray_dataset import RayDataset, background_of, over, target, unhidden
 
 
 @dataclass(frozen=True)
@@ -48,70 +48,6 @@ class StepResult:
     samples_per_ray: float
 
 
-class Engine(Protocol):
-    """field: the present field, its arrays up to date. most_rays: of a batch.
-
-    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
-    """
-
-    field: RadianceField
-    parameters: int
-    most_rays: int
-
-    def adopt(self, field: RadianceField) -> None:
-        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
-
-    def refresh(self, seed: int, share: int) -> None:
-        """Update the occupancy grid at one cell in `share`."""
-
-    def learn(self, batch: Batch) -> StepResult:
-        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
-
-    def discard(self) -> None:
-        """Drop accumulated gradients."""
-
-    def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
-
-    def follow_exposure(self) -> None:
-        """Take over the exposure of the loop's dataset."""
-
-    def settle(self) -> None:
-        """Wait for pending steps, whose time would otherwise count for what follows."""
-
-    def agree(self) -> None:
-        """Take over the first process's values, so that differences in rounding do not add up."""
-
-    def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
-
-    def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        """From moments(), for the field adopted last."""
-
-    def warm_up(
-        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
-    ) -> None:
-        """Compile every kernel that a step uses, on these scratch fields."""
-
-
-def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
-    """Background colors [count, 3] float32; `random` is white without a generator."""
-    if kind == "random" and generator is not None:
-        return generator.random((count, 3), dtype=np.float32)
-    level = 0.0 if kind in ("black", "none") else 1.0
-    return np.full((count, 3), level, np.float32)
-
-
-def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Composite premultiplied rgb over a background."""
-    return rgb + (1 - alpha) * background
-
-
-def target(colors: np.ndarray, background: np.ndarray) -> np.ndarray:
-    """Composite straight rgba over a background."""
-    return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
-
-
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
     """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for rays [n] that are clear or opaque.
 
@@ -136,7 +72,10 @@ def parts_of(start: int, stop: int, parts: int) -> list[slice]:
 
 
 class CpuEngine:
-    """Numba kernels on `threads` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; the same seed gives the same bits. most_rays: of a batch.
+
+    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
+    """
 
     most_rays = 16384
 
@@ -149,61 +88,56 @@ class CpuEngine:
         group: ProcessGroup = ALONE,
         gradient_clip: float = 0.0,
     ) -> None:
-        self.dataset, self.seed, self.threads, self.group, self.gradient_clip = (
-            dataset,
-            seed,
-            threads,
-            group,
-            gradient_clip,
-        )
-        self.density_adam = self.color_adam = None
+        self.dataset, self.seed, self.threads, self.group = dataset, seed, threads, group
+        self.gradient_clip, self.field = gradient_clip, field
+        self.density_adam, self.color_adam = self._new_adam(field.density), self._new_adam(field.color)
         self._memory = ScratchArena()
-        self.adopt(field)
 
     def adopt(self, field: RadianceField) -> None:
+        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
         self.field = field
-        self.density_adam = self._adam_of(field.density, self.density_adam)
-        self.color_adam = self._adam_of(field.color, self.color_adam)
+        if self.density_adam.values is not field.density.values:
+            self.density_adam = self._new_adam(field.density)
+        if self.color_adam.values is not field.color.values:
+            self.color_adam = self._new_adam(field.color)
 
-    def _adam_of(self, part, before: Adam | None) -> Adam:
-        if before is not None and before.values is part.values:
-            return before
+    def _new_adam(self, part: Part) -> Adam:
         return Adam(part.values, part.groups(), self.threads, self.gradient_clip)
 
     @property
     def parameters(self) -> int:
+        """Number of learnable values; does not wait for a GPU."""
         return self.field.parameters
 
     def refresh(self, seed: int, share: int) -> None:
+        """Update the occupancy grid at one cell in `share`."""
         field = self.field
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, share, 0.9)
 
     def learn(self, batch: Batch) -> StepResult:
+        """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
         generator = np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
         origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
-        error, samples_per_ray = 0.0, 0
-        for part in parts_of(0, len(origins), batch.parts):
-            rays = Rays.of(origins[part], directions[part], near, jitter[part])
-            squares, samples = self._learn_part(batch, rays, colors[part], background[part])
-            error += squares
-            samples_per_ray += samples
+        totals = np.zeros(2)  # squared error, samples
+        for some in parts_of(0, len(origins), batch.parts):
+            rays = Rays.of(origins[some], directions[some], near, jitter[some])
+            totals += self._learn_part(batch, rays, colors[some], background[some])
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients[0])
-        totals = np.array([error, samples_per_ray], np.float64)
         self.group.add(totals)
         for adam in (self.density_adam, self.color_adam):
             self.group.add_gradients(adam.gradients)
         self.density_adam.step(batch.rate)
         self.color_adam.step(batch.rate)
-        error, samples_per_ray = totals.tolist()
-        return StepResult(error / (3 * count), samples_per_ray / count)
+        error, samples = totals.tolist()
+        return StepResult(error / (3 * count), samples / count)
 
-    def _learn_part(self, batch: Batch, rays: Rays, colors, back) -> tuple[float, int]:
+    def _learn_part(self, batch: Batch, rays: Rays, colors: np.ndarray, back: np.ndarray) -> tuple[float, int]:
         """Add the gradients of some rays of a batch; the sum of their squared errors, and the number of samples."""
         count = batch.rays
         rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
@@ -224,11 +158,13 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
+        """Drop accumulated gradients."""
         self._memory = ScratchArena()  # its memory is needed for smaller batches
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
         found = np.zeros((len(origins), 5), np.float32)
         for begin in range(4096 * self.group.place, len(origins), 4096 * self.group.count):
             part = slice(begin, begin + 4096)
@@ -238,25 +174,29 @@ class CpuEngine:
         self.group.add(found)
         return found
 
-    def follow_exposure(self) -> None: ...  # the dataset is the loop's own
+    def follow_exposure(self) -> None:
+        """Take over the exposure of the loop's dataset, if this one is a copy."""
 
-    def settle(self) -> None: ...
+    def settle(self) -> None:
+        """Wait for pending steps, whose time would otherwise count for what follows."""
 
     def agree(self) -> None:
+        """Take over the first process's values, so that differences in rounding do not add up."""
         for part in (self.field.density, self.field.color):
             self.group.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+        """The optimizers' moments, by name."""
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        """From moments(), for the field adopted last."""
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
 
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
+        """Compile every kernel that a step uses, on these scratch fields."""
         origins, directions, _, _ = self.dataset.draw(16, np.random.default_rng(0))
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:

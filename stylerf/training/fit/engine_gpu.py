@@ -12,9 +12,11 @@ import torch
 from torch import Tensor
 
 from stylerf.fields.gpu.field import GpuField, GpuRendered, decide, refresh
+from stylerf.fields.gpu.parts import GpuPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.ray_samples import GpuRays
+from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback
 from stylerf.training.common.process_group import ALONE, ProcessGroup
@@ -56,8 +58,8 @@ def _learned(sums: list[float], rays: int) -> StepResult:
     """From (squared error, samples, rays left out) of a step."""
     error, samples, left_out = sums
     # With rays left out, there were more samples than were counted.
-    rays = max(1.0, rays - left_out)
-    return StepResult(error / (3 * rays), samples / rays)
+    counted = max(1.0, rays - left_out)
+    return StepResult(error / (3 * counted), samples / counted)
 
 
 class GpuEngine:
@@ -82,24 +84,27 @@ class GpuEngine:
     ) -> None:
         self.device, self.group, self.gradient_clip = torch.device(device), group, gradient_clip
         self.dataset, self.seed = GpuRayDataset(dataset, self.device), seed
-        self._parts, self.density_adam, self.color_adam = (None, None), None, None
         self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
-        self.adopt(field)
+        self._copy(field)
+        self.density_adam = GpuAdam.of(self.device_field.density, gradient_clip)
+        self.color_adam = GpuAdam.of(self.device_field.color, gradient_clip)
 
-    def adopt(self, field: RadianceField) -> None:
+    def _copy(self, field: RadianceField) -> None:
+        """Copy a field to the device; what is still on its way back is of the one before."""
         self._host, self._stale = field, False
         self.device_field = GpuField(field, self.device)
-        parts = field.density, field.color
-        kept = [old is part for old, part in zip(self._parts, parts)]
-        self.density_adam = self._adam_of(self.device_field.density, self.density_adam if kept[0] else None)
-        self.color_adam = self._adam_of(self.device_field.color, self.color_adam if kept[1] else None)
-        self._parts = parts
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
-    def _adam_of(self, part, before: GpuAdam | None) -> GpuAdam:
-        """An optimizer of a part's new tensors, with the moments of `before`."""
-        adam = GpuAdam(part.values, part.groups, self.gradient_clip)
-        if before is not None:
+    def adopt(self, field: RadianceField) -> None:
+        old = self._host
+        self._copy(field)
+        self.density_adam = self._adam_of(self.device_field.density, self.density_adam, old.density is field.density)
+        self.color_adam = self._adam_of(self.device_field.color, self.color_adam, old.color is field.color)
+
+    def _adam_of(self, part: GpuPart, before: GpuAdam, kept: bool) -> GpuAdam:
+        """An optimizer of a part's new tensors; if the part was kept, with the moments of `before`."""
+        adam = GpuAdam.of(part, self.gradient_clip)
+        if kept:
             adam.first, adam.second, adam.steps = before.first, before.second, before.steps
             adam.running_norm = before.running_norm
         return adam
@@ -138,17 +143,15 @@ class GpuEngine:
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         own = self.group.own(batch.rays)
-        for part in parts_of(own.start, own.stop, batch.parts):
+        for some in parts_of(own.start, own.stop, batch.parts):
             drawn = self.dataset.draw(
-                seed, part.start, part.stop - part.start, batch.rays, batch.among, batch.lit_share, level
+                seed, some.start, some.stop - some.start, batch.rays, batch.among, batch.lit_share, level
             )
             rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
             if field.opaque_background and self.dataset.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
-            scale = 2 / (3 * batch.rays)
-            gradients = launch.photometric_loss(
-                rendered.out, drawn.wanted, drawn.background, rendered.samples, scale, sums
-            )
+            images, scale = (rendered.out, drawn.wanted, drawn.background), 2 / (3 * batch.rays)
+            gradients = launch.photometric_loss(*images, rendered.samples, scale, sums)
             if batch.opacity > 0:
                 gradients[:, 3] += opacity_gradient(rendered, batch.opacity, batch.rays)
             if batch.coverage > 0:
@@ -187,31 +190,28 @@ class GpuEngine:
             self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
-        both = ("density", self.density_adam), ("color", self.color_adam)
-        return {f"{name}.{k}": v for name, adam in both for k, v in adam.arrays().items()}
+        return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        for name, adam in (("density", self.density_adam), ("color", self.color_adam)):
-            adam.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
 
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
-        levels = [None, 1.0]
-        for field in scratch:
-            scratch = GpuField(field, self.device)
-            adams = [GpuAdam(part.values, part.groups) for part in (scratch.density, scratch.color)]
-            refresh(scratch, 0, 1, 0.9)
-            for level in levels:
+        sums = torch.zeros(3, device=self.device)
+        for host in scratch:
+            field = GpuField(host, self.device)
+            parts: tuple[GpuPart, GpuPart] = field.density, field.color
+            adams = GpuAdam.of(parts[0]), GpuAdam.of(parts[1])
+            refresh(field, 0, 1, 0.9)
+            for level in (None, 1.0):
                 drawn = self.dataset.draw(0, 0, 16, 16, self.dataset.views, 0.5, level)
-                rendered = scratch.render_rays(drawn.rays, room=16 * 64)
-                sums = torch.zeros(3, device=self.device)
-                gradients = launch.photometric_loss(
-                    rendered.out, drawn.wanted, drawn.background, rendered.samples, 1.0, sums
-                )
-                to = (adam.gradients for adam in adams)
-                scratch.backward(rendered, gradients, *to, near_scaling_distance=near_scaling_distance)
-            for part, adam, weight in zip((scratch.density, scratch.color), adams, smoothness):
+                rendered = field.render_rays(drawn.rays, room=16 * 64)
+                images = rendered.out, drawn.wanted, drawn.background
+                gradients = launch.photometric_loss(*images, rendered.samples, 1.0, sums)
+                to = adams[0].gradients, adams[1].gradients
+                field.backward(rendered, gradients, *to, near_scaling_distance=near_scaling_distance)
+            for part, adam, weight in zip(parts, adams, smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)

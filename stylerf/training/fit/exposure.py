@@ -23,6 +23,8 @@ APART = 0.03  # of its distance, how far a point may lie from the surface that a
 ROUNDS = 20
 FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable; nothing is done unless requested
 PLAINLY = 0.27  # stops, standard deviation, from which exposures clearly differ
+# From origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
+Renderer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Exposures:
@@ -37,11 +39,8 @@ class Exposures:
         # Any view but the point's own.
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
-    def judged(self, rendered: Callable[[np.ndarray, np.ndarray], np.ndarray], stops: np.ndarray) -> np.ndarray:
-        """[views] stops by which photos are overexposed, their mean 0. stops: what the dataset takes them for now.
-
-        rendered: from origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
-        """
+    def judged(self, rendered: Renderer, stops: np.ndarray) -> np.ndarray:
+        """[views] stops by which photos are overexposed, their mean 0. stops: what the dataset takes them for now."""
         points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(light))
         found, light_there, distance = self._surfaces(rendered, others, pixels)
@@ -50,7 +49,9 @@ class Exposures:
         beyond = np.log2(light[at[same]] / light_there[same])
         return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
 
-    def _surfaces(self, rendered, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _surfaces(
+        self, rendered: Renderer, views: np.ndarray, pixels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where unusable [n],
         and the distance [n]."""
         origins, directions, colors = self.dataset.at(views, pixels)
@@ -84,7 +85,7 @@ def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarr
 
     Least absolute deviations, by weighted least squares repeated; a photo without data keeps its value.
     """
-    change = np.zeros(count)
+    change: np.ndarray = np.zeros(count)
     for _ in range(ROUNDS):
         weight = 1 / np.maximum(np.abs(change[first] - change[second] - beyond), 0.02)
         matrix, sums = 1e-3 * np.eye(count), np.zeros(count)

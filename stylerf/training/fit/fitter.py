@@ -11,6 +11,8 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -20,19 +22,42 @@ from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.common.adam import SMOOTH_EVERY
-from stylerf.training.common.pixels import psnr_from_mse
 from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, shown_rays
-from stylerf.training.fit.capacity_levels import CapacityLevel, capacity_at, first_parts
+from stylerf.training.common.ray_dataset import RayDataset, background_of, over, psnr_from_mse, shown_rays, target
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
-from stylerf.training.fit.engine import Batch, CpuEngine, Engine, background_of, over, target
+from stylerf.training.fit.engine import Batch, CpuEngine
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
-from stylerf.training.fit.settings import GROW, FitSettings, FitState
+from stylerf.training.fit.settings import (
+    GROW,
+    CapacityLevel,
+    FitSettings,
+    FitState,
+    capacity_at,
+    first_parts,
+    grown_parts,
+)
 from stylerf.training.fit.visual_hull import clear_cells
 
+if TYPE_CHECKING:
+    from stylerf.training.fit.engine_gpu import GpuEngine
+
+Engine: TypeAlias = "CpuEngine | GpuEngine"
 EXPOSURE_FROM = 0.1  # of the budget; before, a field is brighter or darker than its photos for other reasons
 MOST_ROLLBACKS = 4
 USABLE_FROM = 0.5  # of the budget; from here on the best field so far is worth more than an error
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A field's describe(); its arrays, and the engine's moments."""
+
+    field: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, field: dict[str, Any], arrays: dict[str, np.ndarray], prefix: str) -> "Snapshot":
+        """From the arrays of a checkpoint whose names begin with `prefix`."""
+        return cls(field, {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)})
 
 
 class Fitter:
@@ -55,7 +80,7 @@ class Fitter:
         threads: int,
         on_say: Callable[[str], None] = lambda text: None,
         group: ProcessGroup = ALONE,
-        engine: Callable[[RayDataset, int, int, RadianceField, ProcessGroup], Engine] = CpuEngine,
+        engine: Callable[..., Engine] = CpuEngine,
     ) -> None:
         self.space, self.dataset, self.held_out, self.settings = space, dataset, held_out, settings
         self.seed, self.threads, self.on_say, self.group = seed, threads, on_say, group
@@ -74,7 +99,7 @@ class Fitter:
         self._held_out_rays = self._choose_held_out()
         enough = settings.exposure == "on" or (settings.exposure == "auto" and len(dataset.cameras) >= FEWEST_PHOTOS)
         self.exposures = Exposures(dataset, seed) if enough else None
-        self._anchor: dict | None = None
+        self._anchor: Snapshot | None = None
         self._refreshed_at = -1
         self.between_steps = True
 
@@ -112,8 +137,7 @@ class Fitter:
         capacity = self._capacity(level, old.occupancy)
         grown = RadianceField(
             self.space,
-            old.density.grown(capacity, generator),
-            old.color.grown(self._capacity(level.color, old.occupancy), generator),
+            *grown_parts(old, capacity, self._capacity(level.color, old.occupancy), generator),
             old.occupancy.resized(level.cells) if level.cells != old.occupancy.cells else old.occupancy,
             1.0 / level.resolution,
         )
@@ -121,13 +145,11 @@ class Fitter:
         grown.occupancy.decide(grown.step)
         self.engine.adopt(grown)
 
-    def _choose_held_out(self):
+    def _choose_held_out(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Up to 16,384 rays of the held-out views; of all views if none is held out."""
         generator = np.random.default_rng([self.seed, 3])
         first = len(self.dataset.cameras) - self.held_out if self.held_out else 0
-        views = generator.integers(first, len(self.dataset.cameras), 16384)
-        pixels = (generator.random(len(views)) * self.dataset.sizes[views]).astype(np.int64)
-        chosen = self.dataset.at(views, pixels)
+        chosen = self.dataset.of_views(first, 16384, generator)
         return chosen if self.space.kind == "box" else shown_rays(*chosen)
 
     @property
@@ -152,14 +174,14 @@ class Fitter:
         error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colors, background), -1, 1)
         return psnr_from_mse(self.group.of_first(float(np.square(error).mean(dtype=np.float64))))
 
-    def _balance(self, quality: float) -> float:
+    def _balance(self, exposures: Exposures, quality: float) -> float:
         """Estimate by how many stops the photos differ, and correct them; returns the quality on the corrected photos.
 
         Earlier qualities are shifted by the difference, which would otherwise look like a fall or a gain.
         """
         first = self.state.stops is None
         before = np.zeros(len(self.dataset.cameras)) if first else np.array(self.state.stops)
-        stops = self.exposures.judged(self.engine.rendered, before)
+        stops = exposures.judged(self.engine.rendered, before)
         self.group.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
@@ -213,7 +235,7 @@ class Fitter:
                 lit_share=settings.lit_share,
                 background=settings.background,
                 rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.search.rate,
-                smoothness=tuple(smoothing * weight for weight in settings.smoothness),
+                smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
                 near_scaling_distance=settings.near_scaling_distance,
                 coverage=settings.coverage if self.dataset.channels == 4 else 0.0,
                 opacity=settings.opacity * max(0.0, (self.progress - 0.25) / 0.75),
@@ -287,9 +309,9 @@ class Fitter:
         recovering = state.trial is not None and not state.trial.grows
         # A fall this deep is not noise: the fit is collapsing, and more training would make it worse.
         fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0 and not recovering  # NaN counts as a fall
-        judging = self.exposures is not None and state.stops != [] and not fallen and math.isfinite(quality)
-        if judging and EXPOSURE_FROM <= self.progress <= self.settings.held_out_until:
-            quality = self._balance(quality)
+        judging = EXPOSURE_FROM <= self.progress <= self.settings.held_out_until and state.stops != []
+        if self.exposures is not None and judging and not fallen and math.isfinite(quality):
+            quality = self._balance(self.exposures, quality)
         state.curve.append(
             {
                 "step": state.step,
@@ -339,8 +361,7 @@ class Fitter:
 
     def _judge(self, quality: float) -> float:
         """Keep or drop the change on trial; the held-out quality of the field that remains."""
-        state, before = self.state, self.state.trial.before
-        pruned = not self.state.trial.grows
+        state, before, pruned = self.state, self.search.trial.before, not self.search.trial.grows
         kept, text = self.search.judge(quality, self.parameters)
         state.decisions.append(text)
         if kept:
@@ -373,9 +394,9 @@ class Fitter:
 
     # -- snapshots --------------------------------------------------------------------------------------------------
 
-    def _now(self) -> dict:
+    def _now(self) -> Snapshot:
         """A snapshot; the next step overwrites its arrays."""
-        return {"field": self.field.describe(), "arrays": self.field.arrays() | self.engine.moments()}
+        return Snapshot(self.field.describe(), self.field.arrays() | self.engine.moments())
 
     def _note_quality(self, quality: float) -> None:
         """Record the quality, dB: of held-out views, or of views that are trained on."""
@@ -384,6 +405,7 @@ class Fitter:
 
     def _go_back(self) -> None:
         """Restore the anchor, and its quality."""
+        assert self._anchor is not None
         self.state.quality = dict(self.state.anchor_quality)
         self._restore(self._anchor)
 
@@ -391,11 +413,11 @@ class Fitter:
         """Make the present field the anchor. The old anchor goes first: there may not be memory for both."""
         self.state.anchor_quality = dict(self.state.quality)
         self._anchor, now = None, self._now()
-        self._anchor = now | {"arrays": {k: v.copy() for k, v in now["arrays"].items()}}
+        self._anchor = Snapshot(now.field, {k: v.copy() for k, v in now.arrays.items()})
 
-    def _restore(self, snapshot: dict) -> None:
-        arrays = {k: v.copy() for k, v in snapshot["arrays"].items()}
-        field = RadianceField.restore(snapshot["field"], arrays)
+    def _restore(self, snapshot: Snapshot) -> None:
+        arrays = {k: v.copy() for k, v in snapshot.arrays.items()}
+        field = RadianceField.restore(snapshot.field, arrays)
         field.occupancy.clear = self._clear_cells(field.occupancy.cells)
         self.engine.adopt(field)
         self.engine.restore_moments(arrays)
@@ -403,11 +425,11 @@ class Fitter:
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
         """(JSON, arrays) to resume from; the next step overwrites the arrays."""
         now = self._now()
-        data = {"state": self.state.as_json(), "field": now["field"]}
-        arrays = {f"now.{k}": v for k, v in now["arrays"].items()}
+        data = {"state": self.state.as_json(), "field": now.field}
+        arrays = {f"now.{k}": v for k, v in now.arrays.items()}
         if self._anchor is not None:
-            data["anchor"] = self._anchor["field"]
-            arrays |= {f"anchor.{k}": v for k, v in self._anchor["arrays"].items()}
+            data["anchor"] = self._anchor.field
+            arrays |= {f"anchor.{k}": v for k, v in self._anchor.arrays.items()}
         return data, arrays
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
@@ -416,11 +438,9 @@ class Fitter:
         self.search.state = self.state
         if self.state.stops:
             self._expose(self.state.stops)
-        now = {k.removeprefix("now."): v for k, v in arrays.items() if k.startswith("now.")}
-        self._restore({"field": data["field"], "arrays": now})
+        self._restore(Snapshot.of(data["field"], arrays, "now."))
         if "anchor" in data:
-            kept = {k.removeprefix("anchor."): v for k, v in arrays.items() if k.startswith("anchor.")}
-            self._anchor = {"field": data["anchor"], "arrays": kept}
+            self._anchor = Snapshot.of(data["anchor"], arrays, "anchor.")
 
 
 def _rays_for(samples: int, samples_per_ray: float, before: int, most: int) -> int:

@@ -4,16 +4,95 @@ Each step compares one rendered view with the style image. The gradient of the i
 (deferred back-propagation), and through them to the new color and, if there is one, the deformation.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
+import torch
 from torch import Tensor
 
+from stylerf.errors import InvalidValue
+from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.training.stylize.method import StyleMethod
-from stylerf.training.stylize.scene import PIXELS_AT_ONCE, StyledScene
-from stylerf.training.stylize.view_loss import ImageLoss, ViewLoss
+from stylerf.style.image_stylization import ImageLoss
+from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
+from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.stylize.geometry import Record
+from stylerf.training.stylize.scene import CONTENT, PIXELS_AT_ONCE, StyledScene
+from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings
+from stylerf.training.stylize.trainer import StyleMethod
+
+OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
+
+
+class ViewLoss:
+    """Compares views with the style image. Images are [3, h, w] over the background, on the extractor's device.
+
+    stride: pixels between positions of the deepest features that the method looks at; the extractor's if not given.
+    around: feature positions beside a silhouette that count too.
+    """
+
+    def __init__(
+        self,
+        scene: StyledScene[ImageStyleSettings],
+        extractor: FeatureExtractor,
+        stride: int | None = None,
+        around: int = 0,
+    ) -> None:
+        self.scene, self.extractor, self.around = scene, extractor, around
+        self.device = extractor.input_scale.device
+        s = scene.settings
+        smallest = math.ceil(2 * (stride or extractor.stride) / s.feature_scale * (2 if s.coarse > 0 else 1))
+        self.windows = [
+            EVERYTHING if scene.fills_views else window_of(scene.coverage(view), smallest)
+            for view in range(len(scene.cameras))
+        ]
+        # On a GPU, half of what surfaces have left free: steps need memory too.
+        self.memory = free_on(self.device, 2 * scene.problem.memory) / 2
+        self._objective: StyleObjective | None = None
+        self._content = self._new_cache()
+
+    @property
+    def objective(self) -> StyleObjective:
+        """The loss at the present feature scale; features of the style image are computed at first use."""
+        scene, s, style_image = self.scene, self.scene.settings, self.scene.problem.style_image
+        if style_image is None:
+            raise InvalidValue("the style loss needs a style image")
+        scale = s.feature_scale / 2 if scene.budget.progress < s.coarse else s.feature_scale
+        if self._objective is None or self._objective.scale != scale:
+            self._content = self._new_cache()  # at another scale
+            size = (scene.cameras[0].height, scene.cameras[0].width)
+            options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
+            self._objective = OBJECTIVES[s.loss](self.extractor, style_image, size, *options, self.around)
+        return self._objective
+
+    def content(self, view: int) -> Content | None:
+        """Content of the view's photo; None if no weight asks for it."""
+        return self._content[view] if self.scene.settings.weights.need_photo else None
+
+    def _new_cache(self) -> BoundedCache[Content]:
+        def content(view: int) -> Content:
+            return self.objective.content_of(self.to_device(self.scene.photos[view]), self.windows[view])
+
+        return BoundedCache(content, lambda made: made.bytes, len(self.scene.cameras), CONTENT * self.memory)
+
+    def to_device(self, image: np.ndarray) -> Tensor:
+        """An image [h, w, 3] as [3, h, w] on the extractor's device."""
+        return torch.from_numpy(np.ascontiguousarray(image)).to(self.device).permute(2, 0, 1).contiguous()
+
+    def coverage(self, view: int) -> Tensor | None:
+        """The scene's coverage of a view, [h, w]; None if all of it counts."""
+        if self.scene.fills_views:
+            return None
+        return torch.from_numpy(self.scene.coverage(view)).to(self.device)
+
+    def of_view(self, view: int) -> ImageLoss:
+        """The loss of a view's image."""
+        objective, content = self.objective, self.content(view)
+        coverage, window = self.coverage(view), self.windows[view]
+        return lambda image: objective(image, content, coverage, window)
+
 
 AROUND = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
 # Style steps in which the deformation's rate rises. Adam's first steps have no history, and weights of one sign move
@@ -29,7 +108,7 @@ class ViewStep:
 
     def __init__(
         self,
-        scene: StyledScene,
+        scene: StyledScene[ArfSettings],
         loss_of_view: Callable[[int], ImageLoss],
         to_device: Callable[[np.ndarray], Tensor],
     ) -> None:
@@ -60,7 +139,7 @@ class ViewStep:
         order = np.random.default_rng([scene.problem.seed, 3, epoch]).permutation(len(scene.shown))
         return scene.shown[int(order[at])]
 
-    def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple | list | None]:
+    def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, Record | None]:
         """Premultiplied rgb of the whole view [h*w, 3], and the record of the selected pixels (None: render again)."""
         scene, settings = self.scene, self.scene.settings
         camera = scene.cameras[view]
@@ -88,8 +167,8 @@ class ViewStep:
             rgb = rgb + (1 - scene.geometry.alpha(view)[..., None]) * scene.background
         image = self.to_device(rgb).requires_grad_()
         loss, parts = self.loss_of_view(view)(image)
-        loss.backward()
-        return image.grad.permute(1, 2, 0).contiguous().cpu().numpy(), parts
+        (gradient,) = torch.autograd.grad(loss, image)
+        return gradient.permute(1, 2, 0).contiguous().cpu().numpy(), parts
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
@@ -100,10 +179,10 @@ class ViewStep:
         self.last_renders = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
 
 
-class Arf(StyleMethod):
+class Arf(StyleMethod[ArfSettings]):
     """ARF; with a deformation in the scene, DeSRF."""
 
-    def __init__(self, scene: StyledScene, extractor: FeatureExtractor) -> None:
+    def __init__(self, scene: StyledScene[ArfSettings], extractor: FeatureExtractor) -> None:
         super().__init__(scene)
         self.loss = ViewLoss(scene, extractor, around=0 if scene.deformer is None else AROUND)
         self.view_step = ViewStep(scene, self.loss.of_view, self.loss.to_device)
@@ -113,7 +192,7 @@ class Arf(StyleMethod):
         parts = self.view_step.learn(np.random.default_rng([scene.problem.seed, 4, step]))
         decay = settings.final_rate**scene.budget.progress
         scene.adam.step(settings.rate * decay)
-        if scene.deformer is not None:
+        if scene.deformer is not None and isinstance(settings, DesrfSettings):
             rate = settings.deform_rate * decay * min(1.0, (step + 1) / DEFORM_RAMP)
             parts["displacement"] = scene.deformer.step(rate, settings.displacement_weight)
         return parts

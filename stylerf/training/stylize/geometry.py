@@ -1,6 +1,10 @@
 """How a stylization renders its scene: fixed surfaces that are only colored, or rays through a deforming field."""
 
+from abc import ABC, abstractmethod
+from typing import Any, Generic, Protocol, TypeVar
+
 import numpy as np
+from torch import Tensor
 
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface, surface_of
@@ -8,21 +12,50 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
-from stylerf.kernels.cpu.ray_samples import Rays
+from stylerf.kernels.cpu.ray_samples import Rays, ShadingPoints
 from stylerf.rendering.rays import Rendered, backward, render_rays
-from stylerf.training.common.adam import Adam
+from stylerf.training.common.adam import Adam, Optimizer
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.deform.deformer import Deformer
+from stylerf.training.deform.deformer import Buffer, GridDeformer
 
 RAYS_AT_ONCE = 8192
 OPAQUE = 1e-2  # transmittance at which a ray ends
+Record = Any  # what paint() leaves for learn() of the same geometry
+Shaded = TypeVar("Shaded")  # rendered rays with what their gradients need
+
+
+class Geometry(Protocol):
+    """Renders the pixels of views in the present colors, and takes the gradients back."""
+
+    def alpha(self, view: int) -> np.ndarray:
+        """[h, w]."""
+
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, Record]:
+        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
+
+    def learn(self, record: Record, gradients: np.ndarray, color_to: Any) -> None:
+        """Add dL/d(color values) to an optimizer's buffer, from dL/d(rgb over the background) [n, 3]."""
+
+
+class Surfaces(Geometry, Protocol):
+    """A geometry that does not move. What learns is field.color, which looks the same from every direction."""
+
+    field: RadianceField
+
+    def new_adam(self, gradient_clip: float = 0.0) -> Optimizer:
+        """An optimizer of field.color, its moments at zero."""
+
+    def collect(self) -> None:
+        """Copy what was learned into field.color."""
+
+    def surface(self, view: int) -> PackedSurface:
+        """The samples of a view."""
 
 
 class FixedGeometry:
-    """Surfaces that do not move: every view is marched once and its samples are kept, up to `memory` bytes.
+    """Surfaces on the CPU: every view is marched once and its samples are kept, up to `memory` bytes.
 
-    What learns is field.color, which looks the same from every direction. weight_threshold: fraction of a ray's
-    largest weight below which a sample is left out.
+    weight_threshold: fraction of a ray's largest weight below which a sample is left out.
     """
 
     def __init__(
@@ -37,43 +70,39 @@ class FixedGeometry:
         self._surfaces = BoundedCache(self._marched, lambda surface: surface.bytes, len(cameras), memory)
 
     def new_adam(self, gradient_clip: float = 0.0) -> Adam:
-        """An optimizer of field.color, its moments at zero."""
         return Adam(self.field.color.values, self.field.color.groups(), self.threads, gradient_clip)
 
-    def collect(self) -> None:
-        """Copy what was learned into field.color; here it is there already."""
+    def collect(self) -> None: ...  # field.color itself learns
 
     def _marched(self, view: int) -> PackedSurface:
         return surface_of(self.field, self.cameras[view], self.weight_threshold, self.threads)
 
     def surface(self, view: int) -> PackedSurface:
-        """The samples of a view."""
         return self._surfaces[view]
 
     def alpha(self, view: int) -> np.ndarray:
-        """[h, w]."""
         return self.surface(view).alpha
 
-    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple]:
-        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[ShadingPoints, np.ndarray]]:
         points = self.surface(view).samples(pixels)
-        color, basis = self.field.color, None
-        if not isinstance(color, HashColor):  # the color below a region's own depends on the direction
+        color = self.field.color
+        if isinstance(color, HashColor):
+            colors = color.colors(points, None, self.threads)
+        else:  # the color below a region's own depends on the direction
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
-        colors = color.colors(points, basis, self.threads)
+            colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
         shade(points, colors, out)
         return out, (points, colors)
 
-    def learn(self, record: tuple, gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the threads' buffers."""
+    def learn(self, record: tuple[ShadingPoints, np.ndarray], gradients: np.ndarray, color_to: np.ndarray) -> None:
         points, colors = record
         color_gradients = np.empty_like(points.x)
         shade_backward(points, gradients, color_gradients)
         self.field.color.backward(points, None, colors, color_gradients, color_to)
 
 
-class MovingGeometry:
+class RayGeometry(ABC, Generic[Shaded, Buffer]):
     """Rays through a deforming field, marched again each time, which learn its colors and its deformation.
 
     weight_threshold: fraction of a ray's largest weight below which a sample is not colored. background: gray level
@@ -90,11 +119,12 @@ class MovingGeometry:
         weight_threshold: float,
         threads: int,
         background: float,
-        deformer: Deformer,
-        fixed: FixedGeometry,
+        deformer: GridDeformer[Buffer],
+        fixed: Surfaces,
     ) -> None:
         self.field, self.cameras, self.weight_threshold, self.threads = field, cameras, weight_threshold, threads
-        self.background, self.deformer, self.fixed = np.float32(background), deformer, fixed
+        self.background, self.fixed = np.float32(background), fixed
+        self.deformer: GridDeformer[Buffer] = deformer
         self.alphas: dict[int, np.ndarray] = {}
 
     def alpha(self, view: int) -> np.ndarray:
@@ -103,10 +133,9 @@ class MovingGeometry:
             self.alphas[view] = self.fixed.alpha(view).ravel().copy()
         return self.alphas[view].reshape(self.cameras[view].height, self.cameras[view].width)
 
-    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Rendered]]]:
-        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
+    def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, Shaded]]]:
         camera, alphas = self.cameras[view], self.alpha(view).reshape(-1)
-        rgb, record = np.empty((len(pixels), 3), np.float32), []
+        rgb, record = np.empty((len(pixels), 3), np.float32), list[tuple[slice, Shaded]]()
         for at in range(0, len(pixels), self.rays_at_once):
             part = slice(at, min(at + self.rays_at_once, len(pixels)))
             chosen = pixels[part]
@@ -116,23 +145,36 @@ class MovingGeometry:
             record.append((part, rendered))
         return rgb, record
 
-    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
+    def learn(self, record: list[tuple[slice, Shaded]], gradients: np.ndarray, color_to: Buffer) -> None:
+        """Add dL/d(color values), and dL/dD to the deformer's gradients, from dL/d(rgb over the background) [n, 3]."""
+        for part, rendered in record:
+            to = np.zeros((len(gradients[part]), 5), np.float32)
+            to[:, :3] = gradients[part]
+            if not self.field.opaque_background:
+                to[:, 3] = -self.background * gradients[part].sum(1)
+            self._backward(rendered, to, color_to)
+
+    @abstractmethod
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Shaded]:
         """Rendered pixels [n, 5], and what _backward needs."""
+
+    @abstractmethod
+    def _backward(self, rendered: Shaded, gradients: np.ndarray, color_to: Buffer) -> None:
+        """Add the gradients of values and grid, from dL/d(pixels) [n, 5]."""
+
+
+class MovingGeometry(RayGeometry[Rendered, np.ndarray]):
+    """Rays on the CPU."""
+
+    def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Rendered]:
         rays = Rays.of(*camera.rays(pixels), self.field.space.near)
         rendered = render_rays(
             self.field, rays, threads=self.threads, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold
         )
         return rendered.out, rendered
 
-    def learn(self, record: list[tuple[slice, Rendered]], gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add dL/d(color values) and dL/dD, from dL/d(rgb over the background) [n, 3], to the threads' buffers."""
-        for part, rendered in record:
-            to = np.zeros((len(rendered.out), 5), np.float32)
-            to[:, :3] = gradients[part]
-            if not self.field.opaque_background:
-                to[:, 3] = -self.background * gradients[part].sum(1)
-            self._backward(rendered, to, color_to)
-
     def _backward(self, rendered: Rendered, gradients: np.ndarray, color_to: np.ndarray) -> None:
-        """Add the gradients of values and grid, from dL/d(pixels) [n, 5]."""
         backward(self.field, rendered, gradients, None, color_to, self.deformer.gradients)
+
+
+AnyRayGeometry = MovingGeometry | RayGeometry[Any, Tensor]

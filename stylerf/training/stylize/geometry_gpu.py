@@ -6,7 +6,7 @@ from torch import Tensor
 
 from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
-from stylerf.fields.gpu.parts import COLOR_KINDS
+from stylerf.fields.gpu.parts import COLOR_KINDS, GpuColor
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
@@ -16,14 +16,15 @@ from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import sent
-from stylerf.training.stylize.geometry import OPAQUE, MovingGeometry
+from stylerf.training.deform.deformer_gpu import GpuDeformer
+from stylerf.training.stylize.geometry import OPAQUE, RayGeometry
 
 RAYS_AT_ONCE = 1 << 17
 MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
 
 
 class GpuFixedGeometry:
-    """FixedGeometry on `device`: numpy in and out, everything between on the device.
+    """Surfaces on `device`: numpy in and out, everything between on the device.
 
     What learns is a copy of field.color, made by new_adam(); collect() copies it back. Surfaces are kept in up to half
     of the device's free memory; threads and memory are the CPU's, and unused.
@@ -46,20 +47,19 @@ class GpuFixedGeometry:
         self._kept: dict[int, tuple[Tensor, Tensor, Tensor]] = {}
         self._last: tuple[int, tuple[Tensor, Tensor, Tensor]] | None = None
         self._alphas: dict[int, np.ndarray] = {}
-        self._color = None
+        self._color: GpuColor | None = None
 
     def new_adam(self, gradient_clip: float = 0.0) -> GpuAdam:
-        """An optimizer of a copy of field.color, its moments at zero."""
         self._color = COLOR_KINDS[self.field.color.kind](self.field.color, self.device)
-        return GpuAdam(self._color.values, self._color.groups, gradient_clip)
+        return GpuAdam.of(self.color, gradient_clip)
 
     @property
-    def color(self):
-        """The color that learns, on the device; None before new_adam()."""
+    def color(self) -> GpuColor:
+        """The color that learns, on the device, since new_adam()."""
+        assert self._color is not None
         return self._color
 
     def collect(self) -> None:
-        """Copy what was learned into field.color."""
         if self._color is not None:
             self.field.color.values[:] = self._color.values.cpu().numpy()
 
@@ -97,12 +97,10 @@ class GpuFixedGeometry:
         return offsets, torch.cat(xs), torch.cat(weights)
 
     def surface(self, view: int) -> PackedSurface:
-        """The samples of a view, on the host."""
         offsets, x, weights = (t.cpu().numpy() for t in self._samples(view))
         return PackedSurface(offsets, (x * 65535 + 0.5).astype(np.uint16), weights, self.alpha(view))
 
     def alpha(self, view: int) -> np.ndarray:
-        """[h, w]."""
         if view not in self._alphas:
             camera, (offsets, _, weights) = self.cameras[view], self._samples(view)
             sums = torch.zeros(len(weights) + 1, dtype=torch.float64, device=self.device)
@@ -112,7 +110,6 @@ class GpuFixedGeometry:
         return self._alphas[view]
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, tuple[GpuSamples, Tensor]]:
-        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
         offsets, x, weights = self._samples(view)
         chosen = torch.from_numpy(np.ascontiguousarray(pixels)).to(self.device)
         counts = offsets[chosen + 1] - offsets[chosen]
@@ -128,23 +125,21 @@ class GpuFixedGeometry:
         )  # fmt: skip
         plain = isinstance(self.field.color, HashColor)
         directions = None if plain else rays_of(self.cameras[view], chosen).directions
-        colors = self._color.visible_colors(samples, directions, 0.0)
+        colors = self.color.visible_colors(samples, directions, 0.0)
         return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
 
     def learn(self, record: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
-        """Add dL/d(color values), from dL/d(rgb) [n, 3], to the flat buffer."""
         samples, colors = record
         towards = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
         to_colors = launch.shade_backward(samples, towards)
-        self._color.backward(samples, None, colors, to_colors, color_to)
+        self.color.backward(samples, None, colors, to_colors, color_to)
 
 
-class GpuMovingGeometry(MovingGeometry):
-    """MovingGeometry on the device of `deformer`, a GpuDeformer: pixels and their gradients are numpy.
+class GpuMovingGeometry(RayGeometry[GpuRendered, Tensor]):
+    """Rays on the device of `deformer`; pixels and their gradients are numpy. What learns are the colors of `fixed`."""
 
-    What learns are the colors of `fixed`, a GpuFixedGeometry, and the deformation.
-    """
-
+    deformer: GpuDeformer
+    fixed: GpuFixedGeometry
     rays_at_once = RAYS_AT_ONCE
 
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, GpuRendered]:

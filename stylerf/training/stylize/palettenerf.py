@@ -15,9 +15,11 @@ from stylerf.editing.palette_hull import ExtractedPalette, extracted
 from stylerf.editing.palette_losses import sparsity
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor, Parts
+from stylerf.fields.protocol import ColorPart
 from stylerf.geometry.spherical_harmonics import harmonics
-from stylerf.training.stylize.method import StyleMethod
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
+from stylerf.training.stylize.settings import StyleSettings
+from stylerf.training.stylize.trainer import StyleMethod
 
 SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is extracted from
 FIGURE_VIEWS = 10  # that figures are taken of, as those of local edits
@@ -68,16 +70,22 @@ def seen_colors(scene: StyledScene, generator: np.random.Generator) -> np.ndarra
     return np.clip(colors, 0, 1)
 
 
-class PaletteNerf(StyleMethod):
-    """PaletteNeRF; the scene's color is a PaletteColor that began with the extracted palette."""
+class PaletteNerf(StyleMethod[StyleSettings]):
+    """PaletteNeRF. color: the scene's, which began with the extracted palette."""
 
-    def __init__(self, scene: StyledScene, weights: DecompositionWeights, palette: ExtractedPalette) -> None:
+    def __init__(
+        self,
+        scene: StyledScene[StyleSettings],
+        color: PaletteColor,
+        weights: DecompositionWeights,
+        palette: ExtractedPalette,
+    ) -> None:
         super().__init__(scene)
-        self.weights, self.extracted = weights, palette
+        self.color, self.weights, self.extracted = color, weights, palette
 
     @staticmethod
     def create(
-        problem: StyleProblem,
+        problem: StyleProblem[StyleSettings],
         weights: DecompositionWeights,
         bases: int,
         new_color: Callable[[np.random.Generator, float, np.ndarray], PaletteColor],
@@ -86,15 +94,17 @@ class PaletteNerf(StyleMethod):
 
         new_color: From a generator, cells per side as wide as a pixel, and the palette [bases, 3].
         """
-        palettes = []
+        made: list[tuple[PaletteColor, ExtractedPalette]] = []
 
-        def with_palette(generator: np.random.Generator, scene: StyledScene) -> PaletteColor:
+        def with_palette(generator: np.random.Generator, scene: StyledScene[StyleSettings]) -> ColorPart:
             pixel_cells = scene.pixel_cells()
-            palettes.append(extracted(seen_colors(scene, generator), bases, generator))
-            return new_color(generator, pixel_cells, palettes[0].palette)
+            palette = extracted(seen_colors(scene, generator), bases, generator)
+            made.append((new_color(generator, pixel_cells, palette.palette), palette))
+            return made[0][0]
 
         scene = StyledScene(problem, with_palette)
-        return PaletteNerf(scene, weights, palettes[0])
+        color, palette = made[0]
+        return PaletteNerf(scene, color, weights, palette)
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
@@ -121,14 +131,13 @@ class PaletteNerf(StyleMethod):
         if len(lit) == 0:
             return {}
         pixels = lit[generator.integers(0, len(lit), scene.settings.refit_pixels)]
-        seen = _Seen(scene, view, pixels)
+        seen = _Seen(scene, self.color, view, pixels)
         losses = self._image_losses(seen, scene.photos[view].reshape(-1, 3)[pixels], with_palette)
         if with_palette:
             losses |= self._palette_losses(seen, generator)
         scales = self._scales()
-        loss = sum(scales[name] * value for name, value in losses.items() if scales[name])
-        loss.backward()
-        self._collect_gradients(seen)
+        first, *rest = (scales[name] * value for name, value in losses.items() if scales[name])
+        self._add_gradients(seen, sum(rest, first))
         return {name: float(value.detach()) for name, value in losses.items() if scales[name]}
 
     def _scales(self) -> dict[str, float]:
@@ -174,12 +183,14 @@ class PaletteNerf(StyleMethod):
             losses["smooth"] = seen.composited(roughness(parts, *seen.beside(generator))[:, None]).mean()
         return losses
 
-    def _collect_gradients(self, seen: "_Seen") -> None:
-        color, to = self.scene.field.color, self.scene.adam.gradients
+    def _add_gradients(self, seen: "_Seen", loss: Tensor) -> None:
+        color, to = self.color, np.asarray(self.scene.adam.gradients)
+        loss.backward()
         for x, phi in seen.encoded:
             if phi.grad is not None:
                 gradients = phi.grad.contiguous().numpy()
                 color.features.backward(color.table, x, np.arange(len(x)), gradients, to)
+        assert seen.rest.grad is not None
         own = seen.rest.grad.numpy()
         if self.scene.budget.progress < RELEASE or self.scene.state.phase == "refit":
             own[: 3 * color.bases] = 0
@@ -210,8 +221,8 @@ class PaletteNerf(StyleMethod):
             varied.append(picture_variation(weights, alpha, shown))
             shares.append(weights[shown].mean(0))
         return {
-            "colors": scene.field.color.bases,
-            "palette": [[round(float(v), 4) for v in color] for color in scene.field.color.palette],
+            "colors": self.color.bases,
+            "palette": [[round(float(v), 4) for v in color] for color in self.color.palette],
             "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
             "sparsity": round(float(np.mean(sparse)), 4),
             "palette_variation": round(float(np.mean(varied)), 5),
@@ -223,7 +234,7 @@ class PaletteNerf(StyleMethod):
         """(weights [h, w, bases], premultiplied rgb [h, w, 3]) of a view, both composited."""
         alpha, parts = self.scene.fixed.alpha(view), []
         for at in range(0, alpha.size, PIXELS_AT_ONCE):
-            seen = _Seen(self.scene, view, np.arange(at, min(at + PIXELS_AT_ONCE, alpha.size)))
+            seen = _Seen(self.scene, self.color, view, np.arange(at, min(at + PIXELS_AT_ONCE, alpha.size)))
             colors = (seen.parts.mixed(seen.palette) + seen.parts.specular).clamp(0, 1)
             parts.append(seen.composited(torch.cat([seen.parts.weights, colors], 1)).detach().numpy())
         found = np.concatenate(parts).reshape(*alpha.shape, -1)
@@ -233,8 +244,8 @@ class PaletteNerf(StyleMethod):
 class _Seen:
     """The color part's quantities at pixels of a view, as a graph whose leaves are `rest` and the features."""
 
-    def __init__(self, scene: StyledScene, view: int, pixels: np.ndarray) -> None:
-        self._color, self._threads, self._pixels = scene.field.color, scene.problem.threads, len(pixels)
+    def __init__(self, scene: StyledScene[StyleSettings], color: PaletteColor, view: int, pixels: np.ndarray) -> None:
+        self._color, self._threads, self._pixels = color, scene.problem.threads, len(pixels)
         starts, ends, self.x, weights = scene.fixed.surface(view).samples(pixels)
         self._rays = torch.from_numpy(np.repeat(np.arange(len(pixels)), ends - starts))
         self._weights = torch.from_numpy(weights)[:, None]

@@ -1,7 +1,7 @@
 """Stylize a scene after one or a few stylized views of it (Ref-NPR, Zhang et al. 2023).
 
     refit       the new color learns the photos
-    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_optimization.py)
+    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_stylization.py)
     style       in each step, colors of the reference on its own rays and on rays of other views that see the same
                 surface (rendering/ray_registration.py), and one view by its correspondences with the reference
                 (style/reference_features.py); in the last quarter correspondences are sought between renders
@@ -10,6 +10,7 @@ The loss of a step is w (MSE of the references' pixels + MSE of registered pixel
 variation; in the last quarter of the style steps, w (...) + 0.2 style + variation.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,15 +19,15 @@ import torch
 from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import SOLID, SeenPoints, points_of, registered, sampled_at
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_optimization import ImageOptimization
-from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective
+from stylerf.style.feature_matching import StyleRows
+from stylerf.style.image_stylization import ImageLoss, ImageOptimization
+from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective, Wanted
 from stylerf.style.style_objective import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.stylize.arf import ViewStep
-from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
-from stylerf.training.stylize.method import StyleMethod
-from stylerf.training.stylize.scene import CONTENT, PhaseBudget, StyledScene
-from stylerf.training.stylize.view_loss import ImageLoss, ViewLoss
+from stylerf.training.stylize.arf import ViewLoss, ViewStep
+from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match
+from stylerf.training.stylize.settings import RefNprSettings
+from stylerf.training.stylize.trainer import StyleMethod
 
 LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
 REFERENCE_SHARE = 1 / 3  # of the budget, that making references may take
@@ -38,7 +39,9 @@ Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colors [n, 3]
 class ReferenceBudget(PhaseBudget):
     """The budget of `made` references and of the style steps after them."""
 
-    def __init__(self, scene: StyledScene, made: int) -> None:
+    scene: StyledScene[RefNprSettings]
+
+    def __init__(self, scene: StyledScene[RefNprSettings], made: int) -> None:
         super().__init__(scene)
         self.made = made
 
@@ -69,7 +72,7 @@ class ReferenceBudget(PhaseBudget):
         return min(1.0, state.step / self.steps if s.steps else (state.seconds - making) / (s.seconds - making))
 
 
-class RefNpr(StyleMethod):
+class RefNpr(StyleMethod[RefNprSettings]):
     """Ref-NPR. Making references counts towards the budget; shapes stay.
 
     With a region, references are that part of their images, and the photos beside it.
@@ -85,16 +88,16 @@ class RefNpr(StyleMethod):
 
     def __init__(
         self,
-        scene: StyledScene,
+        scene: StyledScene[RefNprSettings],
         extractor: FeatureExtractor,
-        references: dict[int, np.ndarray | None],
+        references: Mapping[int, np.ndarray | None],
         matching_extractor: FeatureExtractor,
         coarse_extractor: FeatureExtractor,
     ) -> None:
         if scene.field.displacement is not None:
             raise InvalidValue("rays cannot be registered through a deformation; give a field without one")
         super().__init__(scene)
-        self.references = dict(references)
+        self._images = dict(references)
         self.to_make = sorted(view for view, image in references.items() if image is None)
         self.phases = ("reference", "style") if self.to_make else ("style",)
         self.budget = ReferenceBudget(scene, len(self.to_make))
@@ -106,17 +109,22 @@ class RefNpr(StyleMethod):
         self._optimized: ImageOptimization | None = None  # the reference that is being made
         self._objective: ReferenceObjective | None = None
         self._late_renders: dict[int, np.ndarray] = {}  # the references' views as the last quarter begins
-        self._late_keys: dict | None = None
-        for view, image in self.references.items():
+        self._late_keys: dict[str, StyleRows] | None = None
+        for view, image in references.items():
             if view not in scene.shown:
                 raise InvalidValue(f"view {scene.cameras[view].name}, a reference, shows nothing of the region")
             if image is not None:
-                self.references[view] = self._within_coverage(view, image)
+                self._images[view] = self._within_coverage(view, image)
         views = len(scene.cameras)
         self._targets = BoundedCache(self._target, lambda one: one.bytes, views, CONTENT * self.loss.memory)
         memory = REGISTERED * scene.problem.memory
         self._registered = BoundedCache(self._register, lambda found: sum(a.nbytes for a in found), views, memory)
         self._points: dict[int, SeenPoints] = {}
+
+    @property
+    def references(self) -> dict[int, np.ndarray]:
+        """By training view, the references that are there, as far as they are made."""
+        return {view: image for view, image in self._images.items() if image is not None}
 
     def _within_coverage(self, view: int, image: np.ndarray) -> np.ndarray:
         """A reference, with the photo beside the region and the background where no object is."""
@@ -141,7 +149,7 @@ class RefNpr(StyleMethod):
         if self._optimized is None:
             self._optimized = self._new_image(view)
         parts = self._optimized.step(self.making_loss(view), 1 - step / each)
-        self.references[view] = _in_eight_bits(self._optimized.pixels())
+        self._images[view] = _in_eight_bits(self._optimized.pixels())
         if step + 1 == each:
             self._finish_reference(view)
         return parts
@@ -152,13 +160,13 @@ class RefNpr(StyleMethod):
         Features know little of hue: what is optimized by them alone has specks of green and violet.
         """
         scene = self.scene
-        if scene.settings.match != "none":
+        if scene.settings.match != "none" and scene.style_colors is not None:
             coverage = scene.coverage(view)
             coverage = np.ones_like(coverage) if scene.fills_views else coverage
             behind = None if scene.of_region else scene.background
             image = ObjectPhotos([self.references[view]], lambda _: coverage, behind)
             color_map = rendered_match([image(0)], scene.style_colors, scene.problem.seed)
-            self.references[view] = _in_eight_bits(image.mapped(0, color_map))
+            self._images[view] = _in_eight_bits(image.mapped(0, color_map))
         self._optimized = None
 
     def _new_image(self, view: int) -> ImageOptimization:
@@ -189,8 +197,8 @@ class RefNpr(StyleMethod):
         if self._optimized is not None:  # a budget of time may end within one
             self._finish_reference(self.to_make[self.scene.state.step // self.budget.steps_of_each])
         for view in self.to_make:  # or before the last ones
-            if self.references[view] is None:
-                self.references[view] = _in_eight_bits(self.scene.photos[view])
+            if self._images[view] is None:
+                self._images[view] = _in_eight_bits(self.scene.photos[view])
 
     def start_phase(self, spent: float) -> None:
         state = self.scene.state
@@ -224,7 +232,7 @@ class RefNpr(StyleMethod):
             self._objective = ReferenceObjective(self._matching, self._coarse, pairs, *options)
         return self._objective
 
-    def _target(self, view: int):
+    def _target(self, view: int) -> Wanted:
         loss = self.loss
         return self.objective.wanted(loss.to_device(self.scene.photos[view]), loss.coverage(view), loss.windows[view])
 
@@ -300,7 +308,7 @@ class RefNpr(StyleMethod):
         return late_loss if late else early_loss
 
     @property
-    def late_keys(self) -> dict:
+    def late_keys(self) -> dict[str, StyleRows]:
         """What renders are matched with in the last quarter: the references' own views as it began."""
         if self._late_keys is None:
             for view in self.references:
@@ -315,8 +323,8 @@ class RefNpr(StyleMethod):
     def arrays(self) -> dict[str, np.ndarray]:
         arrays = self.view_step.arrays()
         for view in self.to_make:
-            if self.references[view] is not None:
-                arrays[f"reference.{view}"] = np.rint(self.references[view] * 255).astype(np.uint8)
+            if (image := self._images[view]) is not None:
+                arrays[f"reference.{view}"] = np.rint(image * 255).astype(np.uint8)
         if self._optimized is not None:
             arrays |= {f"painted.{k}": v for k, v in self._optimized.arrays().items()}
         return arrays | {f"late.{view}": image.astype(np.float32) for view, image in self._late_renders.items()}
@@ -325,7 +333,7 @@ class RefNpr(StyleMethod):
         self.view_step.restore(arrays)
         for view in self.to_make:
             if f"reference.{view}" in arrays:
-                self.references[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
+                self._images[view] = arrays[f"reference.{view}"].astype(np.float32) / 255
         moments = {k[8:]: v for k, v in arrays.items() if k.startswith("painted.")}
         self._optimized = None
         if moments:

@@ -3,10 +3,12 @@
 StyleProblem holds what is given; StyledScene holds what changes. Methods render its views and add gradients to it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
@@ -17,13 +19,76 @@ from stylerf.fields.radiance_field import ColorMap, RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import match_colors, spread_at_least, spread_at_most, strokes_in
-from stylerf.training.common.adam import Adam
-from stylerf.training.common.bounded_cache import BoundedCache
-from stylerf.training.deform.deformer import Deformer
-from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
-from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
-from stylerf.training.stylize.settings import StyleSettings, StyleState
+from stylerf.style.color_matching import match_colors, pixels_of, spread_at_least, spread_at_most, strokes_in
+from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
+from stylerf.training.common.bounded_cache import BoundedCache, PerView
+from stylerf.training.deform.deformer import AnyDeformer, Deformer
+from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
+from stylerf.training.stylize.settings import DesrfSettings, StyleSettings, StyleState
+
+Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectPhotos:
+    """Photos without their background.
+
+    Attributes:
+        photos: [h, w, 3] over the background.
+        alpha: Coverage of a view, [h, w], before anything moves.
+        background: Gray level; None: a region is covered, and the photos stay as they are beside it.
+    """
+
+    photos: PerView[np.ndarray]
+    alpha: Callable[[int], np.ndarray]
+    background: np.float32 | None
+
+    def __call__(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Premultiplied rgb [h, w, 3] without the background, and its coverage [h, w]."""
+        coverage = self.alpha(view)
+        behind = (1 - coverage[..., None]) * self._beside(view)
+        return np.clip(self.photos[view] - behind, 0, coverage[..., None]), coverage
+
+    def _beside(self, view: int) -> np.ndarray | np.float32:
+        return self.photos[view] if self.background is None else self.background
+
+    def colors(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of their colors [n, 3] and weights [n]. count: number of pixels of all photos."""
+        straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
+        return pixels_of(straight, seed=seed, count=count)
+
+    def mapped(self, view: int, color_map: ColorMap) -> np.ndarray:
+        """A photo with the object's colors mapped, [h, w, 3]; the background stays."""
+        rgb, coverage = self(view)
+        mapped = color_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
+        level = coverage[..., None]
+        return (np.clip(mapped, 0, level) + (1 - level) * self._beside(view)).astype(np.float32)
+
+
+def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, threshold: float = 0.0) -> torch.Tensor:
+    """[4, h, w] float32 of premultiplied rgb [h, w, 3]; alpha 0 where the coverage is at most `threshold`."""
+    alpha = coverage[..., None]
+    rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > threshold, alpha, 0)], -1)
+    return torch.from_numpy(rgba.astype(np.float32)).permute(2, 0, 1)
+
+
+def rendered_match(
+    pictures: Iterable[tuple[np.ndarray, np.ndarray]],  # premultiplied rgb [h, w, 3], alpha [h, w]
+    style_image: torch.Tensor,
+    seed: int,
+) -> ColorMap:
+    """The map from renders' colors to the style image's (ARF's last step).
+
+    Pixels that are half covered or less do not count, unless there are no others: in haze, or of rods thinner than a
+    pixel.
+    """
+    seen = [straight_rgba(*picture) for picture in pictures]
+    if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
+        for rgba in seen:
+            rgba[3][rgba[3] <= SOLID] = 0
+    colors, weights = pixels_of(seen, seed=seed)
+    return match_colors(colors.clamp(0, 1), style_image.flatten(1).T, weights)
+
 
 PIXELS_AT_ONCE = 65536
 MATCHED_VIEWS = 24  # views whose colors stand for those of all
@@ -38,16 +103,16 @@ COARSEST_STEP = 1 / 128  # cube units; of a deforming field, whose rays are marc
 class StyleBackend:
     """Makes what differs between CPU and GPU (training/backends.py picks one)."""
 
-    deformer: Callable[..., Deformer]
-    fixed_geometry: Callable[..., FixedGeometry]
-    moving_geometry: Callable[..., MovingGeometry]
+    deformer: Callable[..., AnyDeformer]
+    fixed_geometry: Callable[..., Surfaces]
+    moving_geometry: Callable[..., AnyRayGeometry]
 
 
 CPU = StyleBackend(Deformer, FixedGeometry, MovingGeometry)
 
 
 @dataclass(frozen=True, eq=False)
-class StyleProblem:
+class StyleProblem(Generic[Settings_co]):
     """What a stylization is given.
 
     Attributes:
@@ -65,9 +130,9 @@ class StyleProblem:
 
     field: RadianceField
     cameras: list[Camera]
-    photos: Sequence[np.ndarray]
+    photos: PerView[np.ndarray]
     background: float
-    settings: StyleSettings
+    settings: Settings_co
     seed: int
     threads: int
     style_image: Tensor | None = None
@@ -80,7 +145,7 @@ class StyleProblem:
 class PhaseBudget:
     """How far the present phase is."""
 
-    def __init__(self, scene: "StyledScene") -> None:
+    def __init__(self, scene: "StyledScene[StyleSettings]") -> None:
         self.scene = scene
 
     @property
@@ -98,7 +163,7 @@ class PhaseBudget:
         return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
 
 
-class StyledScene:
+class StyledScene(Generic[Settings_co]):
     """Renders views in the new color and collects gradients of it.
 
     Args:
@@ -117,10 +182,13 @@ class StyledScene:
     """
 
     def __init__(
-        self, problem: StyleProblem, new_color: Callable[[np.random.Generator, "StyledScene"], ColorPart]
+        self,
+        problem: StyleProblem[Settings_co],
+        new_color: Callable[[np.random.Generator, "StyledScene[Settings_co]"], ColorPart],
     ) -> None:
         self.problem, self.cameras, self.background = problem, problem.cameras, np.float32(problem.background)
-        self.state, self.settings, self.style_colors = StyleState(), problem.settings, problem.style_image
+        self.state, self.style_colors = StyleState(), problem.style_image
+        self.settings: Settings_co = problem.settings
         min_spread = self.settings.min_spread
         if problem.style_image is not None:
             self.settings = self.settings.for_style(strokes_in(problem.style_image, min_spread))
@@ -129,7 +197,8 @@ class StyledScene:
         self.field = replace(problem.field, color_map=None, weight_threshold=threshold)
         self.deformer = self._new_deformer()
         self.fixed = self._fixed_geometry()
-        self.geometry: FixedGeometry | MovingGeometry = self.fixed
+        self.geometry: Geometry = self.fixed
+        self._moving: AnyRayGeometry | None = None
         views, memory = len(self.cameras), problem.memory
         self._region_masks = BoundedCache(self._region_mask, lambda mask: mask.nbytes, views, REGION_MASKS * memory)
         self.shown = [v for v in range(views) if not self.of_region or (self._region_masks[v] > SOLID).any()]
@@ -141,24 +210,26 @@ class StyledScene:
         self.photos = BoundedCache(self._matched(problem.photos), lambda p: p.nbytes, views, PHOTOS * memory)
         self.budget = PhaseBudget(self)
 
-    def _new_deformer(self) -> Deformer | None:
-        p = self.problem
+    def _new_deformer(self) -> AnyDeformer | None:
+        p, settings = self.problem, self.settings
         if p.deformation is None:
             return None
+        if not isinstance(settings, DesrfSettings):
+            raise InvalidValue("a deformation is trained by desrf only")
         at_rest(self.field)  # at the step that its densities were fitted with
         # A march costs by its samples, and its step cannot change later: colors are learned where it samples them.
         self.field.step = max(self.field.step, COARSEST_STEP)
-        vertices, clip = self.settings.displacement_vertices, self.settings.gradient_clip
+        vertices, clip = settings.displacement_vertices, settings.gradient_clip
         return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip)
 
-    def _fixed_geometry(self) -> FixedGeometry:
+    def _fixed_geometry(self) -> Surfaces:
         # A snapshot of the shapes; the color keeps training.
         moved, p = self.field.displacement, self.problem
         still = replace(self.field, displacement=None if moved is None else moved.copy())
         threshold = self.settings.weight_threshold
         return p.backend.fixed_geometry(still, p.cameras, threshold, p.threads, SURFACES * p.memory)
 
-    def new_adam(self) -> Adam:
+    def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
         return self.fixed.new_adam(self.settings.gradient_clip)
 
@@ -172,7 +243,7 @@ class StyledScene:
         """From now on, render the deforming field; without a deformation, nothing changes."""
         if self.deformer is not None:
             p, threshold = self.problem, self.settings.weight_threshold
-            self.geometry = p.backend.moving_geometry(
+            self._moving = self.geometry = p.backend.moving_geometry(
                 self.field, p.cameras, threshold, p.threads, float(self.background), self.deformer, self.fixed
             )
 
@@ -199,16 +270,17 @@ class StyledScene:
 
     def _region_mask(self, view: int) -> np.ndarray:
         points = self.fixed.surface(view).samples(np.arange(self.fixed.alpha(view).size))
-        part, region = np.zeros(len(points.ends), np.float32), self.problem.region
-        cells = np.ascontiguousarray(region).reshape(-1)
-        weights_inside(cells, len(region), points, self.problem.threads, part)
+        part, region = np.zeros(len(points.ends), np.float32), np.ascontiguousarray(self.problem.region)
+        weights_inside(region.reshape(-1), len(region), points, self.problem.threads, part)
         return np.clip(part, 0, 1).reshape(self.fixed.alpha(view).shape)
 
-    def _matched(self, photos: Sequence[np.ndarray]) -> Callable[[int], np.ndarray]:
+    def _matched(self, photos: PerView[np.ndarray]) -> Callable[[int], np.ndarray]:
         """Reads a photo, in the style image's colors if it is matched before; sets style_colors."""
         s, p = self.settings, self.problem
         if s.match == "none":
             return photos.__getitem__
+        if self.style_colors is None:
+            raise InvalidValue("colors can only be matched to those of a style image")
 
         def alpha(view: int) -> np.ndarray:
             if self.fills_views:
@@ -225,7 +297,7 @@ class StyledScene:
         color_map = match_colors(colors, self.style_colors.flatten(1).T, weights)
         return lambda view: of_object.mapped(view, color_map)
 
-    def render(self, view: int, geometry: FixedGeometry | None = None) -> np.ndarray:
+    def render(self, view: int, geometry: Geometry | None = None) -> np.ndarray:
         """Premultiplied rgb of a view, [h*w, 3], with bounded memory; of `geometry` if given."""
         geometry = geometry or self.geometry
         count = self.cameras[view].width * self.cameras[view].height
@@ -238,8 +310,10 @@ class StyledScene:
         rgb = self.render(view).reshape(*alpha.shape, 3)
         return rgb + (1 - alpha[..., None]) * self.background
 
-    def match_renders(self) -> ColorMap:
+    def match_renders(self) -> ColorMap | None:
         """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
+        if self.style_colors is None:
+            return None
         count = len(self.cameras)
         chosen = np.unique(np.linspace(0, count - 1, min(count, MATCHED_VIEWS)).round().astype(int))
         images = (
@@ -287,22 +361,22 @@ class StyledScene:
         """Arrays of a checkpoint."""
         self.collect()
         arrays = {"color": self.field.color.values.copy()}
-        arrays |= {f"adam.{k}": v.copy() for k, v in self.adam.arrays().items()}
+        arrays |= {k: v.copy() for k, v in moments_of({"adam": self.adam}).items()}
         if self.deformer is not None:
             arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
-            if self.state.phase != "refit":
-                arrays |= {f"alpha.{view}": alpha for view, alpha in self.geometry.alphas.items()}
+        if self._moving is not None:
+            arrays |= {f"alpha.{view}": alpha for view, alpha in self._moving.alphas.items()}
         return arrays
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays(); the state is set."""
         self.field.color.values[:] = arrays["color"]
         self.adam = self.new_adam()
-        self.adam.restore({k: arrays[f"adam.{k}"] for k in ("first", "second", "steps")})
+        restore_moments({"adam": self.adam}, arrays)
         if self.deformer is None:
             return
         if self.state.phase != "refit":
             self.start_moving()
         self.deformer.restore({k[7:]: v for k, v in arrays.items() if k.startswith("deform.")})
-        if self.state.phase != "refit":
-            self.geometry.alphas = {int(k[6:]): v.copy() for k, v in arrays.items() if k.startswith("alpha.")}
+        if self._moving is not None:
+            self._moving.alphas = {int(k[6:]): v.copy() for k, v in arrays.items() if k.startswith("alpha.")}

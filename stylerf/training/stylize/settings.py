@@ -20,7 +20,7 @@ class StyleSettings:
         refit_rate, rate: Learning rates of the color; `rate` falls to `final_rate` of itself.
         match: Color matching: before (of the photos), after (of the renders), both or none.
         weight_threshold: Fraction of a ray's largest weight below which a sample is not colored.
-        rollbacks: How often a divergence may roll back (see divergence_guard.py).
+        rollbacks: How often a divergence may roll back (see DivergenceGuard in trainer.py).
         gradient_clip: Clip gradients at this multiple of their running norm; 0: never (see common/adam.py).
         min_spread, max_gain: Bounds of color matching (see style/color_matching.py).
     """

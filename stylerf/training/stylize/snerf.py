@@ -14,16 +14,17 @@ import time
 import numpy as np
 
 from stylerf.style.feature_extractor import FeatureExtractor
-from stylerf.style.image_optimization import painted
-from stylerf.training.stylize.method import StyleMethod
+from stylerf.style.image_stylization import painted
+from stylerf.training.stylize.arf import ViewLoss
 from stylerf.training.stylize.scene import StyledScene
-from stylerf.training.stylize.view_loss import ViewLoss
+from stylerf.training.stylize.settings import SnerfSettings
+from stylerf.training.stylize.trainer import StyleMethod
 
 
-class Snerf(StyleMethod):
+class Snerf(StyleMethod[SnerfSettings]):
     """SNeRF. images: by view, [h, w, 3] uint8, as an image file would hold them."""
 
-    def __init__(self, scene: StyledScene, extractor: FeatureExtractor) -> None:
+    def __init__(self, scene: StyledScene[SnerfSettings], extractor: FeatureExtractor) -> None:
         super().__init__(scene)
         self.loss = ViewLoss(scene, extractor)
         self.images: dict[int, np.ndarray] = {}

@@ -20,13 +20,13 @@ def photo(seed: int = 0, channels: int = 3) -> np.ndarray:
 
 
 def test_a_regression_recovers_the_drift_of_exposure():
-    """log2 of the ratio of light between a spoiled photo and the photo, against its place: slope and ends."""
+    """log2 of the ratio of light between a faulty photo and the photo, against its place: slope and ends."""
     stops = photos.exposure_stops(9, 0.75, np.random.default_rng(1))
     found = []
     for place, one in enumerate(stops):
         clean = photo(place)
-        spoiled = srgb.exposed(clean, float(one))
-        ratio = linear_from_srgb(spoiled.astype(np.float64)) / linear_from_srgb(clean.astype(np.float64))
+        faulty = srgb.exposed(clean, float(one))
+        ratio = linear_from_srgb(faulty.astype(np.float64)) / linear_from_srgb(clean.astype(np.float64))
         found.append(np.log2(ratio).mean())
         assert np.log2(ratio).std() < 1e-4
     slope, start = np.polyfit(np.linspace(0, 1, 9), found, 1)
@@ -35,8 +35,8 @@ def test_a_regression_recovers_the_drift_of_exposure():
 
 
 def test_light_beyond_white_is_clipped_and_alpha_is_not_light():
-    spoiled = srgb.exposed(np.full((2, 2, 4), 0.9, np.float32), 2.0)
-    assert (spoiled[..., :3] == 1).all() and (spoiled[..., 3] == np.float32(0.9)).all()
+    faulty = srgb.exposed(np.full((2, 2, 4), 0.9, np.float32), 2.0)
+    assert (faulty[..., :3] == 1).all() and (faulty[..., 3] == np.float32(0.9)).all()
     values = np.linspace(0, 1, 300)
     np.testing.assert_allclose(srgb.decoded(values), linear_from_srgb(values), atol=1e-12)
     np.testing.assert_allclose(srgb.encoded(values), srgb_from_linear(values), atol=1e-12)
@@ -72,9 +72,9 @@ def test_jpeg_is_pillows_round_trip(quality):
         stored, format="JPEG", quality=quality, subsampling="4:2:0"
     )
     expected = np.asarray(Image.open(io.BytesIO(stored.getvalue())))
-    spoiled = photos.through_jpeg(clean, quality)
-    np.testing.assert_array_equal(np.rint(spoiled[..., :3] * 255), expected)
-    np.testing.assert_array_equal(spoiled[..., 3], clean[..., 3])
+    faulty = photos.through_jpeg(clean, quality)
+    np.testing.assert_array_equal(np.rint(faulty[..., :3] * 255), expected)
+    np.testing.assert_array_equal(faulty[..., 3], clean[..., 3])
 
 
 def test_less_quality_is_more_noise():

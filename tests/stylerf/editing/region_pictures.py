@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 
 PLAIN = np.array([[0.85, 0.15, 0.1], [0.1, 0.6, 0.2], [0.15, 0.2, 0.8], [0.9, 0.85, 0.2]], np.float32)
 

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from stylerf.editing.edit_grid import Region, march_view
-from stylerf.editing.edit_views import EditView
-from stylerf.editing.extraction import Extraction, seen_of_view
+from stylerf.editing.extraction import EditView, Extraction, seen_of_view
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
-from stylerf.rendering.rays import render_rays
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside, render_rays
 from tests.stylerf.small import density, vm_color
 from tests.stylerf.training.scenes import SIDE, box_photo, dome
 

@@ -125,10 +125,10 @@ def test_nothing_in_common_is_said_and_not_a_number_is_refused():
     a, away = see(camera_at(), PLANE), see(camera_at(x=500.0), [(3.0, 400.0, 600.0, 1.0)])
     assert pair_consistency(a, away) == pair_consistency(away, a)
     assert pair_consistency(a, away).rmse is None and pair_consistency(a, away).share == 0
-    spoiled = a.image.copy()
-    spoiled[20, 20] = np.nan
+    broken = a.image.copy()
+    broken[20, 20] = np.nan
     with pytest.raises(InvalidValue, match="not finite"):
-        pair_consistency(PosedView(a.camera, spoiled, a.alpha, a.z), a)
+        pair_consistency(PosedView(a.camera, broken, a.alpha, a.z), a)
     with pytest.raises(InvalidValue, match="do not fit"):
         PosedView(a.camera, a.image[:-1], a.alpha, a.z)
 

@@ -5,7 +5,7 @@ import pytest
 
 from stylerf.errors import InvalidValue
 from stylerf.metrics.depth import depth_errors, shape_change
-from stylerf.metrics.palette_distance import palette_distance
+from stylerf.metrics.frechet import palette_distance
 
 
 def test_depth_errors_of_four_pixels():

@@ -82,10 +82,10 @@ def test_change_is_the_mean_over_the_pixels_asked_for():
 
 
 def test_what_is_not_finite_is_refused_where_it_is_looked_at():
-    spoiled = A.copy()
-    spoiled[5, 6, 1] = np.nan
-    assert mean_change(spoiled, B, ~blob()) == mean_change(A, B, ~blob())
+    broken = A.copy()
+    broken[5, 6, 1] = np.nan
+    assert mean_change(broken, B, ~blob()) == mean_change(A, B, ~blob())
     with pytest.raises(InvalidValue):
-        mean_change(spoiled, B, blob())
+        mean_change(broken, B, blob())
     with pytest.raises(InvalidValue):
         mean_change(A, B[:5], blob())

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from stylerf.errors import InvalidValue
+from stylerf.metrics.flow_consistency import photometric_importance, softmax_splat
 from stylerf.metrics.optical_flow import field_flow, occluded, sampled, visible
-from stylerf.metrics.splatting import photometric_importance, softmax_splat
 from tests.stylerf.metrics.test_consistency import PLANE, camera_at, see
 
 BOARD = [(3.0, -50.0, 50.0, 1.0), (1.5, -0.2, 0.2, 0.3)]  # a dark board before the wall

@@ -66,9 +66,9 @@ def test_views_are_marched_once_however_many_regions_they_show(monkeypatch):
     assert marched == [117, "march"]
 
 
-def counting(march, told: list):
+def counting(march, calls: list):
     def counted(*arguments):
-        told.append("march")
+        calls.append("march")
         return march(*arguments)
 
     return counted

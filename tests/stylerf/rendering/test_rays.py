@@ -6,15 +6,17 @@ import torch
 
 from stylerf.fields.deformation import position_gradients
 from stylerf.fields.radiance_field import ColorMap, RadianceField
-from stylerf.rendering.rays import backward, render_rays
+from stylerf.rendering.rays import alpha_inside, backward, render_rays
 from tests.stylerf.small import (
     SPACES,
     Packed,
     close,
+    density,
     displacement_grid,
     field_of,
     float64,
     hash_color,
+    occupied,
     oracle_pixels,
     rays_into,
     vm_color,
@@ -187,3 +189,17 @@ def test_near_samples_learn_by_the_square_of_their_distance(kind):
     assert np.abs(plain).max() > 0
     for even_from, found in learned.items():
         np.testing.assert_allclose(found, plain * min(1.0, at / even_from) ** 2, atol=1e-6 * np.abs(plain).max())
+
+
+def test_alpha_inside_sums_the_weights_of_marked_cells():
+    space = SPACES["box"]
+    field = RadianceField(space, density(1), vm_color(2), occupied(), 0.02)
+    samples = field.march(rays_into(space, 40, 3), 128, 1e-3, 2)
+    marked = np.random.default_rng(4).random((5, 5, 5)) < 0.4
+    expected = np.zeros(40)
+    for ray in range(40):
+        for k in range(samples.starts[ray], samples.ends[ray]):
+            cell = np.minimum((samples.x[k] * 5).astype(int), 4)
+            expected[ray] += samples.weights[k] * marked[tuple(cell)]
+    assert expected.max() > 0.1
+    np.testing.assert_allclose(alpha_inside(marked, samples, 2), expected, atol=1e-5)

@@ -19,15 +19,15 @@ def camera(center=(2.6, 0.9, 0.7), width=13, height=9, focal=14.0) -> Camera:
 
 @pytest.mark.parametrize("color", [vm_color(2), hash_color(2)], ids=["vm", "hash"])
 def test_shares_of_a_view_are_the_same_bits_as_the_whole(color):
-    field, told = field_of(BOX, 1, color), []
+    field, done = field_of(BOX, 1, color), []
     whole = render_view(field, camera(), threads=1)
     assert 0.2 < (whole.alpha > 0.5).mean() < 1
     for rays_at_once, chunks in ((7, 1), (50, 3), (117, 2)):
-        told.clear()
-        found = render_view(field, camera(), threads=chunks, rays_at_once=rays_at_once, on_rays=told.append)
+        done.clear()
+        found = render_view(field, camera(), threads=chunks, rays_at_once=rays_at_once, on_rays=done.append)
         for name in ("rgb", "alpha", "ray_distance", "z"):
             assert np.array_equal(getattr(found, name), getattr(whole, name)), name
-        assert told[-1] == 117 and told == sorted(told) and len(told) == -(-117 // rays_at_once)
+        assert done[-1] == 117 and done == sorted(done) and len(done) == -(-117 // rays_at_once)
 
 
 def test_a_solid_box_has_its_front_as_a_plane_of_even_depth():

@@ -6,6 +6,7 @@ import torch
 from scipy.signal import correlate
 
 from stylerf.errors import InvalidValue
+from stylerf.style import feature_extractor
 from stylerf.style.feature_extractor import LAYERS, FeatureExtractor, blur_pool, features, layers_of
 
 CHANNELS = {"conv1_1": 4, "conv1_2": 5, "conv2_1": 6, "conv2_2": 6, "conv3_1": 7, "conv3_2": 5, "conv3_3": 8}
@@ -111,3 +112,24 @@ def test_blur_keeps_a_constant_and_half_precision_is_ignored_on_the_cpu():
     assert torch.allclose(blur_pool(torch.full((1, 2, 9, 7), 0.3), kernel), torch.tensor(0.3))
     trunk, image = FeatureExtractor(small_state(), "conv1_1"), torch.rand(1, 3, 8, 8)
     assert torch.equal(features(trunk, image, torch.bfloat16)[0], trunk(image)[0])
+
+
+def test_halving_averages_and_stays_in_range():
+    image = torch.rand(3, 64, 96, generator=torch.Generator().manual_seed(0))
+    half = feature_extractor.resized(image, 32, 48)
+    # the antialiasing triangle at factor 2 weighs 1 3 3 1 along each axis
+    padded = torch.tensor([1.0, 3, 3, 1]) / 8
+    expected = torch.einsum("i,j,cij->c", padded, padded, image[:, 9:13, 19:23])
+    torch.testing.assert_close(half[:, 5, 10], expected)
+    assert float(half.min()) >= float(image.min()) and float(half.max()) <= float(image.max())
+    assert feature_extractor.resized(image, 64, 96) is image
+
+
+def test_long_sides_and_scale():
+    painting = torch.rand(3, 640, 1024)
+    assert feature_extractor.style_picture(painting, 378, 504).shape == (3, 158, 252)
+    assert feature_extractor.style_picture(painting, 800, 400, 1.0).shape == (3, 500, 800)
+    assert feature_extractor.fitted(torch.rand(3, 1, 900), 30).shape == (3, 1, 30)
+    assert feature_extractor.feature_size(378, 505, 0.5) == (189, 252)
+    with pytest.raises(InvalidValue):
+        feature_extractor.resized(painting, 0, 5)

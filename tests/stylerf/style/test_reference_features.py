@@ -59,11 +59,11 @@ def test_the_reference_itself_is_asked_to_be_its_stylized_picture():
         likeness = keys @ keys.T
         np.fill_diagonal(likeness, -1)
         # Alike in all that is alive, or dead altogether: which of them is found is rounding's choice.
-        told = (likeness.max(1) < 1 - 1e-5) & (np.abs(keys).sum(1) > 0)
-        assert told.mean() > 0.8
-        np.testing.assert_array_equal(matches.numpy()[told], np.flatnonzero(told))
+        certain = (likeness.max(1) < 1 - 1e-5) & (np.abs(keys).sum(1) > 0)
+        assert certain.mean() > 0.8
+        np.testing.assert_array_equal(matches.numpy()[certain], np.flatnonzero(certain))
         # A position whose features are all dead is at distance 1 from everything, itself included.
-        astray.append((~told | (np.abs(looks).sum(1) == 0)).mean())
+        astray.append((~certain | (np.abs(looks).sum(1) == 0)).mean())
     assert parts["style"] <= np.mean(astray) + 1e-6 and parts["color"] < 1e-9
     _, others = made(one[0].photo, wanted)
     cells = [F.adaptive_avg_pool2d(picture_, wanted.trusted.shape) for picture_ in (one[0].photo, one[0].stylized)]

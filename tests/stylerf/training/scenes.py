@@ -6,9 +6,8 @@ from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.common.ray_dataset import RayDataset
-from stylerf.training.fit.capacity_levels import CapacityLevel
 from stylerf.training.fit.fitter import Fitter
-from stylerf.training.fit.settings import FitSettings
+from stylerf.training.fit.settings import CapacityLevel, FitSettings
 
 SIDE = 0.6
 LEVELS = (CapacityLevel(8, 16, 24, 8), CapacityLevel(12, 16, 24, 8), CapacityLevel(16, 16, 24, 16))

@@ -61,14 +61,14 @@ def arf(more: dict | None = None, **given) -> StylizationTrainer:
 
 
 def stopping(counts: list[int]):
-    """For run(): raises Stopped once so many steps in all have been told, for each of the counts in turn."""
+    """For run(): raises Stopped once so many steps in all were reported, for each of the counts in turn."""
     from tests.stylerf.training.running import Stopped
 
-    told, left = [0], list(counts)
+    count, left = [0], list(counts)
 
     def on_step(now) -> None:
-        told[0] += 1
-        if left and told[0] == left[0]:
+        count[0] += 1
+        if left and count[0] == left[0]:
             left.pop(0)
             raise Stopped
 

@@ -7,7 +7,7 @@ import torch
 from stylerf.fields.gpu import memory
 from stylerf.fields.gpu.memory import FEWEST, free_on, in_parts
 from stylerf.style.style_objective import EVERYTHING
-from stylerf.training.stylize import view_loss
+from stylerf.training.stylize.arf import CONTENT
 from tests.stylerf.training.stylizing import arf
 
 
@@ -44,7 +44,7 @@ def test_a_gpu_says_what_is_free_on_it(monkeypatch):
 
 
 def test_features_of_a_stylization_are_bounded_by_what_is_free_where_they_lie(monkeypatch):
-    monkeypatch.setattr(view_loss, "free_on", lambda device, otherwise: 100.0)
+    monkeypatch.setattr("stylerf.training.stylize.arf.free_on", lambda device, otherwise: 100.0)
     made = arf({"memory": 1e9}).method.loss
     assert made.memory == 50 and made.windows[0] != EVERYTHING
-    assert made._content._left == pytest.approx(view_loss.CONTENT * 50)
+    assert made._content._left == pytest.approx(CONTENT * 50)

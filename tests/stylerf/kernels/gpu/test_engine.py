@@ -16,7 +16,7 @@ from stylerf.rendering.rays import backward, render_rays
 from stylerf.rendering.view import render_view
 from stylerf.training.common.adam import NORM_STEPS
 from stylerf.training.common.async_readback import BEHIND
-from stylerf.training.common.process_group import SingleProcess
+from stylerf.training.common.process_group import ProcessGroup
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.fields.test_densities import LARGER
@@ -220,7 +220,7 @@ def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
     monkeypatch.setattr(engine.device_field, "render_rays", full)
-    engine.group, summed = SingleProcess(), []
+    engine.group, summed = ProcessGroup(), []
     engine.group.add = summed.append
     with pytest.raises(MemoryError, match="out of memory"):
         engine.learn(batch())
@@ -253,7 +253,7 @@ def test_a_loop_is_told_of_a_step_so_many_later_however_fast_the_device_is(bank,
 def test_processes_agree_about_what_is_occupied(bank, device):
     engine, first = engine_on(device, bank, thin_field()), torch.zeros(8**3, device=device)
     first[100] = 1e3
-    engine.group = SingleProcess()
+    engine.group = ProcessGroup()
     engine.group.count = 2
     engine.group.take_first = lambda values: values.copy_(first) if values is engine.device_field.highest else None
     engine.agree()

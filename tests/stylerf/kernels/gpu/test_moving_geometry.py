@@ -10,9 +10,8 @@ from stylerf.rendering.rays import render_rays
 from stylerf.training.backends import deform_backend
 from stylerf.training.common.adam import NORM_STEPS
 from stylerf.training.deform import deformer, fitter
-from stylerf.training.deform.deformer import Deformer
+from stylerf.training.deform.deformer import Deformer, PhotoError
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
-from stylerf.training.deform.photo_error import PhotoError
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
 from tests.stylerf.kernels.gpu.test_engine import thin_field
 from tests.stylerf.small import displacement_grid, hash_color

@@ -127,7 +127,7 @@ def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
 
 def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, monkeypatch):
     from stylerf.training.common import ray_dataset_gpu
-    from stylerf.training.common.pixels import STRETCH, Pixels
+    from stylerf.training.common.ray_dataset import STRETCH, Pixels
 
     plain, read = box_bank(5, 12), []
     bank = RayDataset(plain.cameras, Pixels(plain.bytes, plain.channels, read.append))

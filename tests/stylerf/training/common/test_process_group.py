@@ -60,19 +60,19 @@ def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
 
 
 @pytest.mark.parametrize(
-    ("own", "other", "told"),
+    ("own", "other", "message"),
     [
         ("cuda", "no GPU (invalid device ordinal)", "process 0: cuda; process 1: no GPU .invalid device ordinal"),
         ("cpu", "cuda", "process 0: cpu; process 1: cuda"),
         ("no GPU here", "no GPU here", "^no GPU here$"),
     ],
 )
-def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_other(own, other, told):
+def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_other(own, other, message):
     ranks, store = DistributedProcesses.__new__(DistributedProcesses), distributed.HashStore()
     ranks._store, ranks.place, ranks.count = store, 0, 2
     store.set("stylerf device 1", other)
     store.set("stylerf read 1", "")
-    with pytest.raises(InvalidValue, match=told):
+    with pytest.raises(InvalidValue, match=message):
         ranks._compare(own)
     store.set("stylerf device 1", "cpu")
     ranks._compare("cpu")
@@ -100,8 +100,8 @@ def test_one_process_has_it_all():
 class Store(dict):
     """What processes tell one another, and what this one has waited for."""
 
-    def __init__(self, told: dict[str, str]) -> None:
-        super().__init__({key: value.encode() for key, value in told.items()})
+    def __init__(self, values: dict[str, str]) -> None:
+        super().__init__({key: value.encode() for key, value in values.items()})
         self.awaited: list[str] = []
 
     def set(self, key: str, value: str) -> None:

@@ -27,7 +27,7 @@ def fitted() -> dict:
 @pytest.fixture
 def scene(fitted):
     """Makes a fitted box, each time a copy of its own."""
-    return lambda: RadianceField.restore(fitted["field"], {k: v.copy() for k, v in fitted["arrays"].items()})
+    return lambda: RadianceField.restore(fitted.field, {k: v.copy() for k, v in fitted.arrays.items()})
 
 
 def shifted_bank() -> RayDataset:

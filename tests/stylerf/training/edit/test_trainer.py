@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.palette_losses import EditWeights
-from stylerf.editing.palette_shares import figures_of, kept_colors, shares_of
+from stylerf.editing.palette_losses import EditWeights, figures_of, kept_colors, shares_of
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, start_module
 from tests.stylerf.editing.region_pictures import PLAIN, view_of

@@ -6,7 +6,7 @@ import pytest
 from stylerf.editing.edit_grid import march_view
 from stylerf.fields.region_color import RegionColor
 from stylerf.fields.vm import split_table
-from stylerf.rendering.region_alpha import alpha_inside
+from stylerf.rendering.rays import alpha_inside
 from stylerf.rendering.view import render_view
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings

@@ -2,9 +2,8 @@
 
 import pytest
 
-from stylerf.training.fit.capacity_levels import LEVELS, CapacityLevel, Kinds
 from stylerf.training.fit.capacity_search import PRUNINGS, RAMP, TRIAL_STEPS, CapacitySearch
-from stylerf.training.fit.settings import GROW, FitSettings, FitState
+from stylerf.training.fit.settings import GROW, LEVELS, CapacityLevel, FitSettings, FitState, Kinds
 
 EVEN = tuple(CapacityLevel(n, table_bits=18) for n in (64, 128, 192, 256))
 

@@ -6,10 +6,9 @@ import pytest
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.srgb import decoded, exposed
 from stylerf.training.common.ray_dataset import RayDataset
-from stylerf.training.fit.capacity_levels import LEVELS
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures, balanced
 from stylerf.training.fit.fitter import Fitter
-from stylerf.training.fit.settings import Trial
+from stylerf.training.fit.settings import LEVELS, Trial
 from tests.stylerf.training.running import resumed, run_until
 from tests.stylerf.training.scenes import box_fitter, box_photo, dome, settings, wall_bank
 

@@ -107,16 +107,16 @@ def test_rays_stay_as_they_are_until_a_step_is_told_of():
 
 def test_what_a_look_waits_for_is_time_of_the_fit():
     fitter = box_fitter(20)
-    settle, told = fitter.engine.settle, []
+    settle, seconds = fitter.engine.settle, []
 
     def slow() -> None:
         settle()
         time.sleep(0.02)
-        told.append(fitter.state.seconds)
+        seconds.append(fitter.state.seconds)
 
     fitter.engine.settle = slow
     fitter.run()
-    assert len(told) > 1 and all(later - earlier >= 0.02 for earlier, later in pairwise(told))
+    assert len(seconds) > 1 and all(later - earlier >= 0.02 for earlier, later in pairwise(seconds))
 
 
 def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():

@@ -92,14 +92,14 @@ def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
 
 
 def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
-    asked, told = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
+    asked, seen = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
 
     def on_step(now_: Fitter) -> None:
-        told.setdefault((now_._judging, now_.state.level), now_.progress)
+        seen.setdefault((now_._judging, now_.state.level), now_.progress)
 
     asked.run(on_step)
     # What was asked for stays from the first look on.
-    assert told == {(True, 0): 1 / 400, (True, 1): 0.25, (True, 2): 0.5, (False, 2): 201 / 400}
+    assert seen == {(True, 0): 1 / 400, (True, 1): 0.25, (True, 2): 0.5, (False, 2): 201 / 400}
     assert [point["held_out"] for point in asked.state.curve] == [p["step"] <= 201 for p in asked.state.curve]
     grown = box_fitter(800, min_gain=-9.0)
     grown.run()
@@ -145,17 +145,17 @@ def test_where_every_level_has_its_least_steps_nothing_of_that_changes(steps):
 
 def test_what_is_told_is_the_quality_of_the_field_that_stands():
     """Neither of one on trial that was refused nor of one that was left behind by a return."""
-    fitter, told = box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68), levels=LEVELS[:2]), []
+    fitter, seen = box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68), levels=LEVELS[:2]), []
 
     def on_step(now_: Fitter) -> None:
-        if now_.state.growth_ended and not told:
-            told.extend([now_.state.quality["held out"], now_.state.curve[-1]["psnr"], now_.held_out_psnr()])
+        if now_.state.growth_ended and not seen:
+            seen.extend([now_.state.quality["held out"], now_.state.curve[-1]["psnr"], now_.held_out_psnr()])
             raise Stopped
 
     with pytest.raises(Stopped):
         fitter.run(on_step)
-    stands, last, found = told
-    assert stands == pytest.approx(found, abs=1e-3) and abs(last - stands) > 0.1
+    anchored, last, found = seen
+    assert anchored == pytest.approx(found, abs=1e-3) and abs(last - anchored) > 0.1
 
 
 @pytest.mark.parametrize("steps", [200, 600])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stylerf.rendering.view import render_view
-from stylerf.training.fit.capacity_levels import CapacityLevel, Kinds
 from stylerf.training.fit.fitter import Fitter
+from stylerf.training.fit.settings import CapacityLevel, Kinds
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed, run_until
 from tests.stylerf.training.scenes import box_fitter, box_photo, dome
 

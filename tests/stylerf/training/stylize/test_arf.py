@@ -283,8 +283,8 @@ def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
         made.run()
     made = stylizer(match="none")
     run_until(made, 5)
-    spoiled = torch.full_like(made.scene.problem.style_image, np.nan)
-    made.scene.problem = replace(made.scene.problem, style_image=spoiled)
+    broken = torch.full_like(made.scene.problem.style_image, np.nan)
+    made.scene.problem = replace(made.scene.problem, style_image=broken)
     with pytest.raises(Diverged, match="style step 0"):
         made.run()
 

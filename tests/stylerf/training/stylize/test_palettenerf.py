@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.edit_views import EditView
+from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import weight_variation
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor, Parts
@@ -64,7 +64,7 @@ def test_parts_count_when_their_time_has_come(step, smooth, guide, drift):
 
 def test_parts_of_the_loss_are_those_written_ray_by_ray():
     one, pixels = decomposing(raw=-2.0), np.array([40, 41, 100, 133, 200])
-    seen, wanted = _Seen(one.scene, 1, pixels), photo(1).reshape(-1, 3)[pixels]
+    seen, wanted = _Seen(one.scene, one.method.color, 1, pixels), photo(1).reshape(-1, 3)[pixels]
     with torch.no_grad():
         found = one.method._image_losses(seen, wanted, True) | one.method._palette_losses(
             seen, np.random.default_rng(0)

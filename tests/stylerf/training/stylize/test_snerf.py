@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.style.image_optimization import painted
+from stylerf.style.image_stylization import painted
 from stylerf.style.style_objective import StyleWeights
 from stylerf.training.stylize.settings import SnerfSettings
 from stylerf.training.stylize.snerf import Snerf

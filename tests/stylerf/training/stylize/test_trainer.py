@@ -5,8 +5,7 @@ import pytest
 
 from stylerf.errors import Diverged
 from stylerf.fields.deformation import Deformation
-from stylerf.training.stylize.divergence_guard import KEEP_EVERY
-from stylerf.training.stylize.trainer import StylizationTrainer
+from stylerf.training.stylize.trainer import KEEP_EVERY, StylizationTrainer
 from tests.stylerf.training.running import assert_same_bits, result_of, resumed
 from tests.stylerf.training.stylizing import arf
 
@@ -79,7 +78,7 @@ def test_what_was_counted_and_told_since_is_forgotten():
     one.method.step = counted
     one.run()
     assert one.state.counts == {"steps": 14, "rollbacks": 1}
-    assert [told["step"] for told in one.state.curve if told["phase"] == "style"] == [10]
+    assert [entry["step"] for entry in one.state.curve if entry["phase"] == "style"] == [10]
 
 
 @pytest.mark.parametrize("rollbacks", [0, 1])
@@ -116,8 +115,8 @@ def test_a_sound_run_is_the_same_with_and_without():
     assert_same_bits(result_of(plain)[1], result_of(guarded)[1])
 
 
-@pytest.mark.parametrize("spoiled", ["color", "adam.second", "deform.values", "deform.adam.first"])
-def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoiled):
+@pytest.mark.parametrize("broken", ["color", "adam.second", "deform.values", "deform.adam.first"])
+def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(broken):
     one = with_shapes(rollbacks=1)
     one.state.phase = "style"
     one.scene.start_moving()
@@ -125,18 +124,18 @@ def test_what_is_not_finite_and_only_the_device_has_yet_is_not_kept(spoiled):
 
     def collected():
         data, arrays = checkpoint()
-        return data, arrays | {spoiled: np.full_like(arrays[spoiled], np.nan)}
+        return data, arrays | {broken: np.full_like(arrays[broken], np.nan)}
 
     one.checkpoint = collected
     one._guard.keep(one)
     assert one._guard._snapshot is None and np.isfinite(one.scene.field.color.values).all()
     one.checkpoint = checkpoint
     one._guard.keep(one)
-    assert np.isfinite(one._guard._snapshot[1][spoiled]).all()
+    assert np.isfinite(one._guard._snapshot[1][broken]).all()
 
 
 def test_what_is_kept_has_shapes_that_can_be_seen():
-    """A displacement of NaN is told of a step late, when the state that holds it might have been kept."""
+    """A displacement of NaN is reported a step late, when the state that holds it might have been kept."""
     one = with_shapes(rollbacks=1)
     plain, left = one.method.step, [KEEP_EVERY]
 

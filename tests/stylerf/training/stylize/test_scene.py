@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from stylerf.style.color_matching import match_colors
-from stylerf.training.stylize.matched_photos import ObjectPhotos, rendered_match
+from stylerf.training.stylize.scene import ObjectPhotos, rendered_match
 from tests.stylerf.style.small_trunk import picture
 
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from stylerf.errors import InvalidValue
-from stylerf.training.common.pixels import STRETCH, LitPixels, Pixels, near_opaque
-from stylerf.training.common.ray_dataset import RayDataset
+from stylerf.training.common.ray_dataset import STRETCH, LitPixels, Pixels, RayDataset, near_opaque
 from tests.stylerf.training.scenes import box_photo, dome
 
 
@@ -51,16 +50,16 @@ def test_what_is_drawn_does_not_depend_on_where_the_photos_are(tmp_path):
     cameras = dome(6, 2, 40)
     images = [box_photo(camera) for camera in cameras]
     np.concatenate([image.ravel() for image in images]).tofile(tmp_path / "photos")
-    told = []
-    mapped = Pixels(np.memmap(tmp_path / "photos", np.uint8, "r"), 4, told.append)
+    reported = []
+    mapped = Pixels(np.memmap(tmp_path / "photos", np.uint8, "r"), 4, reported.append)
     banks = [RayDataset(cameras, images), RayDataset(cameras, mapped)]
-    assert sum(told) * STRETCH >= 6 * 40 * 40 * 4
-    del told[:]
+    assert sum(reported) * STRETCH >= 6 * 40 * 40 * 4
+    del reported[:]
     for share in (0.0, 0.9):
         drawn = [bank.draw(3000, np.random.default_rng(5), 4, share) for bank in banks]
         for one, other in zip(*drawn, strict=True):
             assert np.array_equal(one, other)
-    assert told == [3000, 3000]
+    assert reported == [3000, 3000]
 
 
 def test_bytes_that_are_not_the_cameras_are_refused():
