@@ -72,8 +72,9 @@ def summarize(
 
 def is_number(value: object) -> TypeGuard[float]:
     """Whether the value is a finite int or float, not a bool."""
-    known = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return known and -sys.float_info.max <= value <= sys.float_info.max  # isfinite() cannot take a larger int
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return False
+    return -sys.float_info.max <= value <= sys.float_info.max  # math.isfinite() fails on larger integers
 
 
 def number_in(row: Row, key: str) -> float | None:
