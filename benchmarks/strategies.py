@@ -6,7 +6,7 @@ the memory of the last render).
 `full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
 Style distance (exact nearest neighbors, conv3) and content distance are means over the held-out views and over LOOKS
 looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
-Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature trunk, the
+Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature extractor, the
 matching and the optimizers. Field memory: what is resident at the end of painting and of learning, at most, above what
 was before the step; the trunk is left out; in a process of its own that gives freed memory back at once.
 """

@@ -1,4 +1,4 @@
-"""From photos and a style image to a stylized scene, a film and a report, in Python.
+"""From photos and a style image to a stylized scene, a video and a report, in Python.
 
     python examples/pipeline.py PHOTOS STYLE_IMAGE WORK [FIT_BUDGET [STYLE_BUDGET]]
 

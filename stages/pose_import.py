@@ -121,10 +121,10 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArti
     photos = [sized(camera, source, alike) for camera in here]
     factors = [scale_of(one.size, config.downscale, config.max_side) for one in photos]
     plain = [scene_camera(one, factor, one.pose) for one, factor in zip(photos, factors, strict=True)]
-    backdrop = _develop(photos, plain, config, partial, context)
+    background = _develop(photos, plain, config, partial, context)
     try:
-        frame = _framed(source, photos, plain, backdrop, config)
-        bounds = _bounds(source, frame, backdrop)
+        frame = _framed(source, photos, plain, background, config)
+        bounds = _bounds(source, frame, background)
     except InvalidValue as error:
         raise BadInput(f"{config.source}: {error}") from error
     context.progress.say(f"layout: {frame.layout.name}, because {frame.layout.reason}")
@@ -135,7 +135,7 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArti
         layout=frame.layout.name,
         layout_reason=frame.layout.reason,
         bounds=bounds,
-        background=backdrop.kind,
+        background=background.kind,
         scene_from_source=as_matrix(frame.scene_from_source),
         skipped=tuple(Skipped(one.source, "no such image file") for one in missing)
         + tuple(Skipped(one.source, "listed twice") for one in doubled)
@@ -216,29 +216,29 @@ def _develop(
     photos: list[Sized], cameras: list[Camera], config: ImportConfig, partial: PartialArtifact, context
 ) -> Background:
     """Write images/NNN.png; return what they reveal about the background."""
-    developer, backdrop = Developer(), Background(config.background)
+    developer, background = Developer(), Background(config.background)
     context.progress.start("import", len(photos), "photo")
     for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
-        pixels = backdrop.seen(developer.picture(one, (camera.width, camera.height)))
+        pixels = background.seen(developer.picture(one, (camera.width, camera.height)))
         write_png(partial.path / _image(index), to_uint8(pixels))
         del pixels  # or two photos would be held while the next is read
         context.progress.update(index + 1)
     context.progress.finish()
-    backdrop.decide()
-    if backdrop.remark:
-        context.progress.say(backdrop.remark)
-    return backdrop
+    background.decide()
+    if background.remark:
+        context.progress.say(background.remark)
+    return background
 
 
-def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backdrop: Background, config) -> Frame:
+def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], background: Background, config) -> Frame:
     poses = np.array([one.pose for one in photos])
     near_far = np.array([one.camera.near_far for one in photos]) if photos[0].camera.near_far else None
     points = None if source.points is None else source.points.xyz
     scene_normalization.check_baseline(poses, near_far, points)
-    layout = scene_normalization.decided_layout(poses, backdrop.cuts_out)
+    layout = scene_normalization.decided_layout(poses, background.cuts_out)
     if config.layout != "auto":
         layout = scene_normalization.Layout(config.layout, "asked for")
-    if layout.name == "object" and source.keeps_frame and backdrop.kind == "alpha":
+    if layout.name == "object" and source.keeps_frame and background.kind == "alpha":
         similarity = np.eye(4)
     elif layout.name == "forward":
         near, known = scene_normalization.nearest_depth(poses, near_far, points)
@@ -253,7 +253,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backd
     return Frame(layout, similarity, cameras, [one.split for one in photos])
 
 
-def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
+def _bounds(source: SourceScene, frame: Frame, background: Background) -> Bounds:
     scale = float(np.cbrt(np.linalg.det(frame.scene_from_source[:3, :3])))
     if frame.layout.name == "unbounded":
         box = np.array([[-1.0] * 3, [1.0] * 3])
@@ -264,20 +264,20 @@ def _bounds(source: SourceScene, frame: Frame, backdrop: Background) -> Bounds:
         box = scene_normalization.frustum_box(frame.cameras, near, max(far, 2 * near))
         far = max(far, 2 * near)
     else:
-        box = _object_box(frame, backdrop)
+        box = _object_box(frame, background)
         near, far = scene_normalization.depths_of_box(frame.cameras, box)
     (x0, y0, z0), (x1, y1, z1) = np.asarray(box, float).tolist()
     return Bounds(((x0, y0, z0), (x1, y1, z1)), float(near), float(far))
 
 
-def _object_box(frame: Frame, backdrop: Background) -> np.ndarray:
+def _object_box(frame: Frame, background: Background) -> np.ndarray:
     poses = np.array([camera.world_from_camera for camera in frame.cameras])
     focus = scene_normalization.focus_of(poses)
     distance = float(np.median(np.linalg.norm(poses[:, :3, 3] - focus, axis=1)))
-    if not backdrop.cuts_out:
+    if not background.cuts_out:
         return np.stack([focus - distance / 2, focus + distance / 2])
     train = [index for index, split in enumerate(frame.splits) if split == "train"] or range(len(frame.cameras))
-    cameras, silhouettes = [frame.cameras[i] for i in train], [backdrop.silhouettes()[i] for i in train]
+    cameras, silhouettes = [frame.cameras[i] for i in train], [background.silhouettes()[i] for i in train]
     return hull_box(cameras, silhouettes, np.stack([focus - distance, focus + distance]))
 
 

@@ -15,7 +15,7 @@ class DemoConfig:
     test_views: int = option(8, help="photos to test with")
     fit_budget: str = option("60s", help="training time of the field, or steps")
     style_budget: str = option("75s", help="time of the stylization, or steps")
-    frames: int = option(36, help="frames of the film")
+    frames: int = option(36, help="frames of the video")
     method: str = option("desrf", choices=("arf", "desrf"), help="stylization method")
 
     def __post_init__(self) -> None:

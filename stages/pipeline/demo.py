@@ -22,7 +22,7 @@ class Demo:
     sheet: Path
     report: Artifact
     fit_report: Artifact
-    film: Artifact
+    video: Artifact
 
 
 def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
@@ -76,13 +76,13 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
         return made(render, {"scene": scene, "field": field}, wanted, f"{field.name}-{path}")
 
     fit_test, style_test = frames(fit, "test"), frames(stylized, "test")
-    film = frames(stylized, "orbit", count=config.frames, video=True, fps=12.0)
+    video = frames(stylized, "orbit", count=config.frames, video=True, fps=12.0)
     fit_report = made(evaluate, {"scene": scene, "field": fit, "frames": fit_test}, EvaluateConfig(), fit.name)
-    inputs = {"scene": scene, "field": stylized, "frames": style_test, "base_frames": fit_test, "path_frames": film}
+    inputs = {"scene": scene, "field": stylized, "frames": style_test, "base_frames": fit_test, "path_frames": video}
     report = made(evaluate, inputs, EvaluateConfig(), stylized.name)
     sheet = runner.work.root / "contact-sheet.png"
     _write_sheet(sheet, photos, fit_test, style_test)
-    return Demo(sheet, report, fit_report, film)
+    return Demo(sheet, report, fit_report, video)
 
 
 def refuse_others(work: WorkFolder, photos: Path) -> None:

@@ -25,7 +25,7 @@ REASON = "its silhouette contradicts the pose that structure from motion found"
 def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
     """Silhouettes by name of the copy, [h, w] bool; none where the photos' masks do not cut an object out, or are one
     mask, which belongs to the lens."""
-    backdrop, found = Background("auto"), {}
+    background, found = Background("auto"), {}
     if not any(copy.cut_out for copy in copies):
         return {}
     for copy in copies:
@@ -34,9 +34,9 @@ def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
         if copy.cut_out:
             kept = read_image(folder / MASKS / f"{copy.file}.png").pixels.reshape(height, width, -1)[..., 0]
         found[copy.file] = kept >= KEPT
-        backdrop.seen(np.dstack([np.zeros((height, width, 3), np.float32), kept]))
-    backdrop.decide()
-    return found if backdrop.cuts_out and not backdrop.one_mask() else {}
+        background.seen(np.dstack([np.zeros((height, width, 3), np.float32), kept]))
+    background.decide()
+    return found if background.cuts_out and not background.one_mask() else {}
 
 
 def outside(model, silhouettes: dict[str, np.ndarray]) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Trained weights, resolved to tensors: feature trunks for stylizing, networks of perceptual metrics.
+"""Trained weights, resolved to tensors: feature extractors for stylizing, networks of perceptual metrics.
 
 Nothing is fetched over the network. What is found (stages.weights.sources) is brought to one canonical form, kept as
 safetensors in a cache folder, and identified by the digest of its tensors, so that two files with the same numbers are
@@ -25,12 +25,12 @@ from schemas.canonical_json import file_sha256
 from schemas.errors import BadInput, UsageError
 from stages.weights.sources import (
     DECODERS,
+    DEFAULT_EXTRACTORS,
     DEFAULT_METRICS,
-    DEFAULT_TRUNKS,
+    EXTRACTORS,
     HUB_SHA256,
     HUB_URLS,
     METRICS,
-    TRUNKS,
     Source,
     converted,
     hub_folder,
@@ -57,23 +57,24 @@ class ResolvedExtractor:
 
 
 def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedExtractor:
-    """The feature trunk to use: the one named, the one in a file, or (None) the first of the default order found.
+    """The feature extractor to use: the one named, the one in a file, or (None) the first of the default order found.
 
     Raises UsageError for an unknown name or one that is not there (with the command that gets it), BadInput for a
     damaged file.
     """
     if name_or_path is None:
-        for name in DEFAULT_TRUNKS:
-            found = _read(TRUNKS[name])
+        for name in DEFAULT_EXTRACTORS:
+            found = _read(EXTRACTORS[name])
             if found is not None:
                 return found
-        raise UsageError(f"no feature trunk is installed; get one with: {TRUNKS['hed-vgg16'].obtain}")
-    if str(name_or_path) in TRUNKS:
-        return _named(TRUNKS[str(name_or_path)])
+        raise UsageError(f"no feature extractor is installed; get one with: {EXTRACTORS['hed-vgg16'].obtain}")
+    if str(name_or_path) in EXTRACTORS:
+        return _named(EXTRACTORS[str(name_or_path)])
     path = Path(name_or_path).expanduser()
     if not path.is_file():
         raise UsageError(
-            f"--features expects one of {', '.join(TRUNKS)} or a file of VGG weights; {str(name_or_path)!r} is neither"
+            f"--features expects one of {', '.join(EXTRACTORS)} or a file of VGG weights; {str(name_or_path)!r} is "
+            "neither"
         )
     kind, state = recognized(path)
     return ResolvedExtractor(path.stem, state_digest(state), path, f"VGG weights of {path}", state, kind)
@@ -85,7 +86,7 @@ def chosen(features: str) -> dict[str, str]:
     Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
     """
     features = features or found_trunk()
-    if features in TRUNKS:
+    if features in EXTRACTORS:
         return {"features": features, "features_digest": ""}
     path = Path(features).expanduser()
     if not path.is_file():
@@ -112,7 +113,7 @@ def resolve_metric(name: str) -> ResolvedExtractor:
 
 
 def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedExtractor:
-    """The decoder of a trunk's features; UsageError with the command that gets it where it is not here."""
+    """The decoder of a feature extractor's features; UsageError with the command that gets it where it is not here."""
     return _named(DECODERS[name])
 
 
@@ -127,11 +128,11 @@ def describe() -> list[dict[str, Any]]:
     Only looks whether the files are there; reads none.
     """
     rows, chosen = [], None
-    for use, sources in (("features", TRUNKS), ("metric", METRICS), ("decoder", DECODERS)):
+    for use, sources in (("features", EXTRACTORS), ("metric", METRICS), ("decoder", DECODERS)):
         for source in sources.values():
             files, cache = source.locate(), _cached(source)
             found = bool(files or cache)
-            if use == "features" and found and chosen is None and source.name in DEFAULT_TRUNKS:
+            if use == "features" and found and chosen is None and source.name in DEFAULT_EXTRACTORS:
                 chosen = source.name
             rows.append(
                 {

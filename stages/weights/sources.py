@@ -150,7 +150,7 @@ def st_lpips_vgg(found: Mapping[str, Tensor]) -> State:
 
 
 def lpips_squeeze(found: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> State:
-    """LPIPS v0.1 on torchvision's SqueezeNet 1.1: seven taps."""
+    """LPIPS v0.1 on torchvision's SqueezeNet 1.1: seven layers."""
     names = {"conv1": "features.0"}
     for place in SQUEEZE_FIRES:
         for part in ("squeeze", "expand1x1", "expand3x3"):
@@ -178,7 +178,7 @@ def canonical(found: Mapping[str, Tensor]) -> State:
     return state
 
 
-# How a file of unknown origin is recognized: a tensor only it has -> (architecture of the trunk, converter).
+# How a file of unknown origin is recognized: a tensor only it has -> (architecture, converter).
 TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
     "conv1_1.weight": ("vgg16", canonical),
     "features.28.weight": ("vgg16", torchvision_vgg16),
@@ -189,7 +189,7 @@ TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
 
 
 def recognized(path: Path) -> tuple[str, State]:
-    """Architecture and canonical weights of a trunk in a file of any of the known layouts; BadInput when unknown.
+    """Architecture and canonical weights of a network in a file of any of the known layouts; BadInput when unknown.
 
     A safetensors file may name its architecture under "kind" in its metadata, as this program's cache does.
     """
@@ -285,17 +285,17 @@ def from_folder(*files: str) -> Paths | None:
     return _if_all([Path(folder).expanduser() / file for file in files]) if folder else None
 
 
-def tolerant(trunk: str) -> Paths | None:
+def tolerant(network: str) -> Paths | None:
     """A network of ST-LPIPS: in its package, or the same file in STYLERF_WEIGHTS, should the package not be there."""
-    file = f"{trunk}_shift_tolerant.pth"
+    file = f"{network}_shift_tolerant.pth"
     return installed("stlpips_pytorch", f"{ST_FOLDER}/{file}") or from_folder(file)
 
 
 def with_head(model: str, head: str) -> Paths | None:
-    """A torchvision trunk (STYLERF_WEIGHTS or hub) and its linear head of LPIPS v0.1 (STYLERF_WEIGHTS)."""
-    trunk = from_folder(f"{model}.pth") or from_hub(model)
+    """A torchvision network (STYLERF_WEIGHTS or hub) and its linear head of LPIPS v0.1 (STYLERF_WEIGHTS)."""
+    network = from_folder(f"{model}.pth") or from_hub(model)
     linear = from_folder(f"lpips_v0.1/{head}_cpu.pth") or from_folder(f"lpips_v0.1/{head}.pth")
-    return trunk + linear if trunk and linear else None
+    return network + linear if network and linear else None
 
 
 def _if_all(paths: list[Path]) -> Paths | None:
@@ -310,19 +310,20 @@ def _by_name(*sources: Source) -> dict[str, Source]:
     return {source.name: source for source in sources}
 
 
-def _st_lpips(trunk: str, convert: Callable[..., State], digest: str) -> Source:
-    words = f"ST-LPIPS on {WORDS[trunk]}, from the package stlpips_pytorch"
-    return Source(f"st-lpips-{trunk}", f"{trunk}-blur", words, OBTAIN_ST, lambda: tolerant(trunk), convert, digest)
+def _st_lpips(network: str, convert: Callable[..., State], digest: str) -> Source:
+    words = f"ST-LPIPS on {WORDS[network]}, from the package stlpips_pytorch"
+    name, architecture = f"st-lpips-{network}", f"{network}-blur"
+    return Source(name, architecture, words, OBTAIN_ST, lambda: tolerant(network), convert, digest)
 
 
-def _lpips(trunk: str, model: str, convert: Callable[..., State]) -> Source:
-    words = f"LPIPS v0.1 on {WORDS[trunk]}, from STYLERF_WEIGHTS and torch's model hub"
-    obtain = _set_folder(f"{model}.pth", f"lpips_v0.1/{trunk}_cpu.pth")
-    return Source(f"lpips-{trunk}", trunk, words, obtain, lambda: with_head(model, trunk), convert)
+def _lpips(network: str, model: str, convert: Callable[..., State]) -> Source:
+    words = f"LPIPS v0.1 on {WORDS[network]}, from STYLERF_WEIGHTS and torch's model hub"
+    obtain = _set_folder(f"{model}.pth", f"lpips_v0.1/{network}_cpu.pth")
+    return Source(f"lpips-{network}", network, words, obtain, lambda: with_head(model, network), convert)
 
 
 WORDS = {"alex": "AlexNet", "vgg": "VGG-16", "squeeze": "SqueezeNet 1.1"}
-TRUNKS = _by_name(
+EXTRACTORS = _by_name(
     Source(
         name="vgg16",
         kind="vgg16",
@@ -361,7 +362,7 @@ TRUNKS = _by_name(
         digest="2cac233540cb0fdd55a5932a3abb39f5490bfbc53c623b204cdf4e7e7682c535",
     ),
 )
-DEFAULT_TRUNKS = ("vgg16", "hed-vgg16", "st-vgg16")
+DEFAULT_EXTRACTORS = ("vgg16", "hed-vgg16", "st-vgg16")
 
 DECODERS: dict[str, Source] = {
     "vgg19-wct-decoder": Source(

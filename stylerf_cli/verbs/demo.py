@@ -18,13 +18,13 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
-    """Return the paths of contact sheet, reports and film."""
+    """Return the paths of contact sheet, reports and video."""
     demo = session.pipeline.demo(session.config, force=session.force)
     result = {
         "sheet": demo.sheet,
         "report": demo.report.path / "report.html",
         "fit_report": demo.fit_report.path / "report.html",
-        "film": demo.film.path / demo.film.manifest.figures["video"],
+        "video": demo.video.path / demo.video.manifest.figures["video"],
         "psnr": demo.fit_report.manifest.figures["psnr"],
     }
     words = [
@@ -32,6 +32,6 @@ def run(args: Any, session: Session) -> dict[str, Any]:
         f"contact sheet: {result['sheet']}",
         f"report:        {result['report']}",
         f"fit report:    {result['fit_report']}",
-        f"film:          {result['film']}",
+        f"video:         {result['video']}",
     ]
     return session.emit(result, words)

@@ -35,7 +35,7 @@ def demo(tmp_path_factory) -> Path:
 
 def test_demo_leaves_what_it_promises_and_a_field_that_has_learned(demo, capsys):
     result = said(capsys, "demo", str(demo), *DEMO)
-    for what in ("sheet", "report", "film"):
+    for what in ("sheet", "report", "video"):
         assert Path(result[what]).stat().st_size > 1000
     # An empty field renders white: what that scores is the bar that a fit of 250 steps must clear by far.
     photos = [read_image(p).pixels for p in sorted((demo / "photos" / "test").glob("*.png"))]

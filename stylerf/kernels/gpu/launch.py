@@ -18,7 +18,7 @@ RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 
 CELLS = 1024 if interpreted() else 32  # per program, each of 32 lanes
 # No software pipeline: it would copy the gathered rows through 170 KB of shared memory, more than most GPUs have.
 STAGES = 1
-PROGRAMS_PER_PROCESSOR = 8  # of kernels that walk a list whose length only the device knows
+PROGRAMS_PER_PROCESSOR = 8  # of kernels that traverse a list whose length only the device knows
 
 
 def width_of(rank: int) -> int:

@@ -58,9 +58,9 @@ class Exposures:
         out = rendered(origins, directions)
         distance = out[:, 4]
         rgb = colors[:, :3]
-        telling = (rgb > DARKEST) & (rgb < np.minimum(self.dataset.codes[views, CLIPPED], BRIGHTEST)[:, None])
-        telling = telling.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
-        light = np.where(telling, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
+        usable = (rgb > DARKEST) & (rgb < np.minimum(self.dataset.codes[views, CLIPPED], BRIGHTEST)[:, None])
+        usable = usable.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
+        light = np.where(usable, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
         return origins + directions * distance[:, None], light, distance
 
     def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -114,7 +114,7 @@ def packages(nowhere, monkeypatch):
 
 
 def pin(monkeypatch, name: str, digest: str | None) -> None:
-    table = sources.TRUNKS if name in sources.TRUNKS else sources.METRICS
+    table = sources.EXTRACTORS if name in sources.EXTRACTORS else sources.METRICS
     fields = {key: getattr(table[name], key) for key in ("name", "kind", "words", "obtain", "locate", "convert")}
     monkeypatch.setitem(table, name, sources.Source(**fields, digest=digest))
 
@@ -172,7 +172,7 @@ def test_a_recipe_holds_the_weights_found_and_files_by_digest(nowhere, packages,
 
 
 def test_a_recipe_without_weights_is_refused():
-    with pytest.raises(UsageError, match="no feature trunk is installed"):
+    with pytest.raises(UsageError, match="no feature extractor is installed"):
         resolve.chosen("")
 
 
@@ -387,7 +387,7 @@ def test_lpips_is_joined_from_a_trunk_and_a_head(nowhere, monkeypatch):
 
 def test_describe_tells_what_is_here_and_how_to_get_the_rest(nowhere, packages):
     rows = {row["name"]: row for row in resolve.describe()}
-    assert set(rows) == {*sources.TRUNKS, *sources.METRICS, *sources.DECODERS}
+    assert set(rows) == {*sources.EXTRACTORS, *sources.METRICS, *sources.DECODERS}
     assert [name for name, row in rows.items() if row["chosen"]] == ["hed-vgg16"]
     assert not rows["vgg16"]["found"] and "vgg16-397923af.pth" in rows["vgg16"]["obtain"]
     assert rows["hed-vgg16"]["path"].endswith(".h5") and not rows["hed-vgg16"]["cached"]

