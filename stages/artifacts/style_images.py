@@ -118,9 +118,9 @@ def check_references(scene: SceneData, config: RefNprConfig) -> None:
 def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, device: str) -> np.ndarray:
     """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
-    trunk = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
+    extractor = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
     height, width = photo.shape[:2]
     picture = style_picture(painting, height, width, scale).to(device)
-    made = adain_picture(trunk, Decoder(decoder.state).to(device), there, picture)
+    made = adain_picture(extractor, Decoder(decoder.state).to(device), there, picture)
     return made.permute(1, 2, 0).contiguous().cpu().numpy()

@@ -101,7 +101,7 @@ def digests_of_files(config: Any) -> dict[str, str]:
 
 
 def found_trunk() -> str:
-    """Name of the trunk that None finds, empty without any; reads no weights."""
+    """Name of the extractor that None finds, empty without any; reads no weights."""
     return next((row["name"] for row in describe() if row["chosen"]), "")
 
 
