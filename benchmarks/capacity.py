@@ -41,8 +41,8 @@ def imported(data: Path, name: str, work: Path) -> None:
 def measure(name: str, capacity: str, budget: str, work: Path) -> dict:
     """One row."""
     label = f"capacity-{capacity}"
-    asked = "grow" if capacity == "grow" else f"fixed:{capacity}"
-    options = "--budget", budget, "--capacity", asked, "--no-buffers", "--name", label
+    requested = "grow" if capacity == "grow" else f"fixed:{capacity}"
+    options = "--budget", budget, "--capacity", requested, "--no-buffers", "--name", label
     load = round(os.getloadavg()[0], 2)
     figures = stylerf("fit", str(work), *options)["figures"]
     quality = stylerf("eval", str(work), "--of", label)["figures"]

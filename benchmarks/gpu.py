@@ -238,8 +238,8 @@ def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
         stylerf("deform", str(work), *source, "--device", "cuda", "--name", "bent")
         source = ["--of", "bent"]
     painting = str(data / "styles" / "starry_night.jpg")
-    asked = ["--style", painting, "--method", method, "--budget", budget, "--name", method]
-    made = stylerf("stylize", str(work), *source, *asked, "--device", "cuda")["figures"]
+    requested = ["--style", painting, "--method", method, "--budget", budget, "--name", method]
+    made = stylerf("stylize", str(work), *source, *requested, "--device", "cuda")["figures"]
     return {
         "method": method, "budget": budget, "steps": made["steps"], "train_seconds": made["train_seconds"],
         "features": made["features"]["name"], "style_distance": made["curve_style"][-1].get("style"),
@@ -250,8 +250,8 @@ def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
 def edited(work: Path) -> dict:
     """A whole local edit of the lego in the work folder."""
     name = "shovel"
-    asked = ["--of", f"fit-{BUDGETS[2]}", *SHOVEL, "--recolor", "--palette", "0=#2050d0", "--name", name]
-    seconds = stylerf("edit", str(work), *asked, "--device", "cuda")["seconds"]
+    requested = ["--of", f"fit-{BUDGETS[2]}", *SHOVEL, "--recolor", "--palette", "0=#2050d0", "--name", name]
+    seconds = stylerf("edit", str(work), *requested, "--device", "cuda")["seconds"]
     return {"edit": name, "seconds": seconds, "sum": round(sum(seconds.values()), 1)}
 
 

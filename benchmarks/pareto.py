@@ -61,10 +61,10 @@ def options_of(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--stylized", type=lambda text: text.split(","))
     parser.add_argument("--painting", default="starry_night.jpg")
     parser.add_argument("--flags", metavar="METHOD=FLAGS", action="append", default=[])
-    asked = parser.parse_args(argv)
-    asked.stylized = asked.stylized or asked.capacities
-    asked.flags = {name: shlex.split(flags) for name, _, flags in (one.partition("=") for one in asked.flags)}
-    return asked
+    requested = parser.parse_args(argv)
+    requested.stylized = requested.stylized or requested.capacities
+    requested.flags = {name: shlex.split(flags) for name, _, flags in (one.partition("=") for one in requested.flags)}
+    return requested
 
 
 def label(*parts: str) -> str:
@@ -72,7 +72,7 @@ def label(*parts: str) -> str:
     return "-".join(parts).replace(":", "").replace(",", "-")
 
 
-def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
+def measure(requested: argparse.Namespace, scene: str, work: str) -> list[dict]:
     """Makes all runs of a scene in `work`; returns what failed."""
     folder, flags = SCENES[scene]
     failed = []
@@ -87,17 +87,19 @@ def measure(asked: argparse.Namespace, scene: str, work: str) -> list[dict]:
             return
         print(f"{scene} {name}: done", flush=True)
 
-    stylerf("import", str(asked.data / folder), work, *flags)
-    for capacity, budget in product(asked.capacities, asked.budgets):
+    stylerf("import", str(requested.data / folder), work, *flags)
+    for capacity, budget in product(requested.capacities, requested.budgets):
         name = label("fit", capacity, budget)
         fit = ("fit", work, "--capacity", capacity, "--budget", budget, "--no-buffers", "--name", name)
         made(name, fit, ("eval", work, "--of", name))
-    painting = str(asked.styles / asked.painting)
-    wanted = [(method, rays) for method in asked.methods for rays in (asked.rays if method in BY_RAYS else ["auto"])]
-    for capacity, (method, rays), budget in product(asked.stylized, wanted, asked.style_budgets):
-        base, name = label("fit", capacity, asked.budgets[-1]), label(method, rays, budget, "of", capacity)
+    painting = str(requested.styles / requested.painting)
+    wanted = [
+        (method, rays) for method in requested.methods for rays in (requested.rays if method in BY_RAYS else ["auto"])
+    ]
+    for capacity, (method, rays), budget in product(requested.stylized, wanted, requested.style_budgets):
+        base, name = label("fit", capacity, requested.budgets[-1]), label(method, rays, budget, "of", capacity)
         style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
-        style += ("--budget", budget, "--name", name, *asked.flags.get(method, ()))
+        style += ("--budget", budget, "--name", name, *requested.flags.get(method, ()))
         look = ("eval", work, "--of", name, "--path", PATHS[scene], "--consistency", "all")
         made(name, style, look)
     return failed
@@ -112,20 +114,20 @@ def rows_of(works: list[str], out: str) -> list[dict]:
 
 def main(argv: list[str] | None = None) -> None:
     given = sys.argv[1:] if argv is None else argv
-    asked = options_of(given)
+    requested = options_of(given)
     works, failed = [], []
     with tempfile.TemporaryDirectory() as scratch:
         kept = Path(os.environ.get("STYLERF_BENCH_WORK", scratch))
-        for scene in asked.scenes:
+        for scene in requested.scenes:
             works.append(str(kept / scene))
-            failed += measure(asked, scene, works[-1])
+            failed += measure(requested, scene, works[-1])
             report = {
                 "command": f"python -m benchmarks.pareto DATA STYLES OUT.json {shlex.join(given[3:])}".strip(),
-                "protocol": __doc__.split("Protocol: ")[1], "painting": asked.painting,
+                "protocol": __doc__.split("Protocol: ")[1], "painting": requested.painting,
                 **here_and_now(), "rows": rows_of(works, str(kept / "comparison")),
                 "failed": failed,
             }  # fmt: skip
-            asked.out.write_text(json.dumps(report, indent=1) + "\n")
+            requested.out.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":

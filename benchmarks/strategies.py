@@ -230,8 +230,8 @@ def main() -> None:
     rows: list[dict] = []
     for case in CASES:
         seconds = rows[0]["seconds_at_equal_steps"] if rows else 0.0
-        asked = [work, style, out, str(steps), method, case, str(seconds)]
-        command = [sys.executable, "-m", "benchmarks.strategies", *asked]
+        requested = [work, style, out, str(steps), method, case, str(seconds)]
+        command = [sys.executable, "-m", "benchmarks.strategies", *requested]
         said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         memory = subprocess.run(command[:-1], check=True, capture_output=True, text=True, env=os.environ | GIVEN_BACK)
         rows.append({**json.loads(said), "field_memory_mb": float(memory.stdout)})

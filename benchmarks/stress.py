@@ -31,18 +31,18 @@ def options_of(argv: list[str]) -> tuple[argparse.Namespace, list[str]]:
     parser = argparse.ArgumentParser(prog="benchmarks.stress", description=__doc__.split("\n\n")[0])
     parser.add_argument("out", type=Path)
     parser.add_argument("works", type=Path, nargs="+", metavar="WORK")
-    asked = parser.parse_args(argv[:places])
+    requested = parser.parse_args(argv[:places])
     parser = argparse.ArgumentParser(prog="benchmarks.stress", allow_abbrev=False)
     parser.add_argument("--faults", nargs="+", default=["all"])
     parser.add_argument("--remedies", choices=("off", "on", "both"), default="both")
-    return parser.parse_known_args(argv[places:], asked)
+    return parser.parse_known_args(argv[places:], requested)
 
 
-def faults_of(asked: list[str], first: bool) -> list[str]:
+def faults_of(requested: list[str], first: bool) -> list[str]:
     """Names; those of made scenes in the first work folder alone."""
     from stages.configs.faults import FAULTS, MADE
 
-    chosen = [name for name in FAULTS if name in asked or "all" in asked]
+    chosen = [name for name in FAULTS if name in requested or "all" in requested]
     return [name for name in chosen if first or FAULTS[name].of != MADE]
 
 
@@ -56,15 +56,15 @@ def rows_of(work: Path, faults: list[str], flags: list[str], remedies: str) -> t
 
 
 def main(argv: list[str] | None = None) -> None:
-    asked, flags = options_of(sys.argv[1:] if argv is None else argv)
+    requested, flags = options_of(sys.argv[1:] if argv is None else argv)
     rows: list[dict] = []
     missing: list[dict] = []
-    for number, work in enumerate(asked.works):
-        if not (faults := faults_of(asked.faults, number == 0)):
+    for number, work in enumerate(requested.works):
+        if not (faults := faults_of(requested.faults, number == 0)):
             continue
-        found, more = rows_of(work, faults, flags, asked.remedies)
+        found, more = rows_of(work, faults, flags, requested.remedies)
         rows, missing = rows + found, missing + more["missing"]
-        flags_used = shlex.join(["--faults", *asked.faults, "--remedies", asked.remedies, *flags])
+        flags_used = shlex.join(["--faults", *requested.faults, "--remedies", requested.remedies, *flags])
         report = {
             "command": f"python -m benchmarks.stress OUT.json WORK... {flags_used}",
             "protocol": __doc__.split("Protocol: ")[1],
@@ -73,9 +73,9 @@ def main(argv: list[str] | None = None) -> None:
             "rows": rows,
             "missing": missing,
         }
-        asked.out.write_text(json.dumps(report, indent=1) + "\n")
-        done, asked_for = (sum(row[key] for row in found) for key in ("successes", "count"))
-        print(f"{work.name}: {done} of {asked_for} runs succeed", flush=True)
+        requested.out.write_text(json.dumps(report, indent=1) + "\n")
+        done, requested_for = (sum(row[key] for row in found) for key in ("successes", "count"))
+        print(f"{work.name}: {done} of {requested_for} runs succeed", flush=True)
 
 
 if __name__ == "__main__":

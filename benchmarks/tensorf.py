@@ -153,7 +153,7 @@ def main() -> None:
         # Its loop draws its first step when the bar is asked for it.
         ask = tqdm.__iter__
 
-        def asked(bar):
+        def requested(bar):
             if bar.total == options["n_iters"]:
                 looks.start()
             for number in ask(bar):
@@ -161,7 +161,7 @@ def main() -> None:
                     return
                 yield number
 
-        tqdm.__iter__ = asked
+        tqdm.__iter__ = requested
         os.chdir(folder)
         runpy.run_path(str(checkout / "train.py"), run_name="__main__")
 

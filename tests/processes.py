@@ -17,11 +17,11 @@ def start(count: int, *command: str, folder: Path) -> list[subprocess.Popen]:
         port = str(free.getsockname()[1])
     made = []
     for place in range(count):
-        told = {"RANK": str(place), "LOCAL_RANK": str(place), "WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count),
+        ranks = {"RANK": str(place), "LOCAL_RANK": str(place), "WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count),
                 "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "NUMBA_NUM_THREADS": "1"}  # fmt: skip
         with open(folder / f"out{place}", "wb") as out, open(folder / f"err{place}", "wb") as err:
             line = [sys.executable, "-m", *command]
-            made.append(subprocess.Popen(line, cwd=REPOSITORY, env=os.environ | told, stdout=out, stderr=err))
+            made.append(subprocess.Popen(line, cwd=REPOSITORY, env=os.environ | ranks, stdout=out, stderr=err))
     return made
 
 

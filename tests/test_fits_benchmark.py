@@ -27,8 +27,8 @@ def ran(monkeypatch):
 def manifest(folder) -> None:
     folder.mkdir(parents=True)
     figures = {"colors": 4, "sparsity": 0.5, "palette_variation": 0.1, "psnr": 30.0}
-    told = {"seconds": 1.0, "peak_memory_mb": 1.0, "figures": figures}
-    (folder / "manifest.json").write_text(json.dumps(told))
+    reported = {"seconds": 1.0, "peak_memory_mb": 1.0, "figures": figures}
+    (folder / "manifest.json").write_text(json.dumps(reported))
 
 
 def test_load_is_that_of_before_the_run(ran, tmp_path):

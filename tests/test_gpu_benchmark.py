@@ -38,8 +38,8 @@ def commands(monkeypatch, tmp_path):
         if verb in ("fit", "stylize"):
             folder = tmp_path / work.split("/")[-1] / "field" / named
             folder.mkdir(parents=True, exist_ok=True)
-            told = {"device": "cuda", "seconds": 3.0, "peak_memory_mb": 900.0, "figures": {"gpu_memory_mb": 70}}
-            (folder / "manifest.json").write_text(json.dumps(told))
+            reported = {"device": "cuda", "seconds": 3.0, "peak_memory_mb": 900.0, "figures": {"gpu_memory_mb": 70}}
+            (folder / "manifest.json").write_text(json.dumps(reported))
         budget = float(named.split("-")[1][:-1]) if named.startswith("fit-") else 1.0
         figures = {"train_seconds": budget, "steps": 9, "parameters": 5, "resolution": 64, "ssim": 0.9}
         figures |= {"features": {"name": "vgg16"}, "curve_style": [{"style": 0.5}]}
@@ -98,8 +98,8 @@ def test_kernels_and_frames_are_measured(monkeypatch):
     assert {"patch color", "ends of rays"} < set(names)
     for row in rows:
         assert row["gb_per_s"] == round(row["bound_bytes"] / 2e-3 / 1e9, 1) and row["samples"] > 0
-    told = gpu.frames(gpu.random_field(8, "stylized"), dome(1, 0, 4), device, repeats=1)
-    assert told["frames_per_s"] == 500 and told["width"] == 4 and told["half_precision"] in (True, False)
+    reported = gpu.frames(gpu.random_field(8, "stylized"), dome(1, 0, 4), device, repeats=1)
+    assert reported["frames_per_s"] == 500 and reported["width"] == 4 and reported["half_precision"] in (True, False)
 
 
 def test_without_a_gpu_nothing_is_written(tmp_path, monkeypatch):
@@ -113,7 +113,7 @@ def test_without_a_gpu_nothing_is_written(tmp_path, monkeypatch):
     assert not out.exists()
 
 
-def test_a_part_that_fails_is_told_and_the_others_are_measured(tmp_path, monkeypatch):
+def test_a_part_that_fails_is_reported_and_the_others_are_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(gpu, "device_here", lambda: torch.device("cpu"))
     monkeypatch.setattr(gpu, "machine_of", lambda device: {"gpu": "none"})
 

@@ -21,8 +21,8 @@ def commands(monkeypatch):
         if arguments[0] != "compare":
             return {}
         runs = []
-        told = (("fits", "fit-grow-10s", "psnr", 10.0), ("stylizations", "arf", "nnfm", 5.0))
-        for family, name, key, seconds in told:
+        reported = (("fits", "fit-grow-10s", "psnr", 10.0), ("stylizations", "arf", "nnfm", 5.0))
+        for family, name, key, seconds in reported:
             costs = {"seconds": seconds, "peak_memory_mb": 100.0, "parameters": 5e5}
             more = {"group": "lego", "work": "lego", "method": "vm", "settings": "", "stages": ["fit"]}
             figures = {key: {"mean": 0.25, "label": key}}
@@ -55,12 +55,12 @@ def test_the_block_of_the_readme_is_empty_until_it_is_measured(monkeypatch, tmp_
     monkeypatch.setattr(readme, "RESULTS", tmp_path)
     assert readme.pareto() == ""
     row = {"scene": "lego", "name": "desrf-auto", "failed": "it fell over"}
-    told = {"painting": "a.jpg", "machine": {"cores": 2}, "date": "2026-01-01", "command": "c", "failed": [row]}
-    (tmp_path / "pareto.json").write_text(json.dumps(told))
+    reported = {"painting": "a.jpg", "machine": {"cores": 2}, "date": "2026-01-01", "command": "c", "failed": [row]}
+    (tmp_path / "pareto.json").write_text(json.dumps(reported))
     assert "images/pareto.svg" in readme.pareto() and "Failed: lego desrf-auto: it fell over" in readme.pareto()
 
 
-def test_a_fault_of_a_command_is_told_in_its_own_words(tmp_path):
+def test_a_fault_of_a_command_is_reported_in_its_own_words(tmp_path):
     with pytest.raises(pareto.Failed, match="is not a folder"):
         pareto.stylerf("show", str(tmp_path / "absent"))
 

@@ -75,7 +75,7 @@ except WouldBeLost:
     assert run_without_posix(code, tmp_path) == "refused" and not (tmp_path / "new").exists()
 
 
-def test_memory_is_asked_of_psutil_without_proc(tmp_path):
+def test_memory_is_requested_of_psutil_without_proc(tmp_path):
     code = """
 import os, stages.run.memory as memory, stages.run.clock as clock
 from pathlib import Path

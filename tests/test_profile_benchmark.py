@@ -1,4 +1,4 @@
-"""benchmarks/profile.py and regression.py: a step is accounted for to the end, and what is worse is told."""
+"""benchmarks/profile.py and regression.py: a step is accounted for to the end, and what is worse is reported."""
 
 import copy
 import json
@@ -87,7 +87,7 @@ def test_a_slower_machine_is_no_regression_and_a_slower_kernel_is():
 
 
 @pytest.mark.parametrize("psnr", [19.8, float("nan")])
-def test_a_worse_fit_is_told(psnr):
-    (told,) = regression.worse([row_of()], [row_of(psnr=psnr)])
-    assert "dB, it was 20.00" in told
+def test_a_worse_fit_is_reported(psnr):
+    (reported,) = regression.worse([row_of()], [row_of(psnr=psnr)])
+    assert "dB, it was 20.00" in reported
     assert regression.worse([row_of()], [row_of(psnr=19.9)]) == []

@@ -26,9 +26,9 @@ def commands(monkeypatch):
         seen.append(arguments)
         cells = [cell("fit", "views-3", 2, 14.0), cell("fit + remedies", "views-3", 4, 15.5)]
         cells += [cell("arf", "seeds", 5, 0.6), cell("arf + remedies", "seeds", 5, None)]
-        told = {"fault": "views-8", "why": "8 training views: 8 are no fewer"}
+        reported = {"fault": "views-8", "why": "8 training views: 8 are no fewer"}
         conditions = {"seeds": 5, "side": 64, "budget": "150", "style_budget": "15", "quick": True, "scene": "digest"}
-        return {"cells": cells, "missing": [told], "conditions": conditions}
+        return {"cells": cells, "missing": [reported], "conditions": conditions}
 
     monkeypatch.setattr(stress, "stylerf", run)
     return seen
@@ -47,7 +47,7 @@ def test_rows_are_cells_by_scene_and_made_scenes_are_run_once(commands, tmp_path
     assert report["missing"][1]["work"] == "fern" and "--methods fit arf --quick --seeds 5" in report["command"]
 
 
-def test_faults_that_are_asked_for_are_those_that_run(commands, tmp_path):
+def test_faults_that_are_requested_for_are_those_that_run(commands, tmp_path):
     stress.main([str(tmp_path / "o.json"), "lego", "fern", "--faults", "thin", "blur", "--quick"])
     stress.main([str(tmp_path / "o.json"), "lego", "fern", "--faults", "thin"])
     faults = [one[one.index("--faults") + 1 : one.index("--remedies")] for one in commands]
@@ -59,8 +59,8 @@ def test_blocks_and_picture_follow_from_the_rows(commands, monkeypatch, tmp_path
     assert readme.stress() == readme.remedies() == ""
     stress.main([str(tmp_path / "stress.json"), "lego", "fern", "--quick", "--seeds", "5"])
     assert "images/stress.svg" in readme.stress() and "64 pixels, 150 steps a fit" in readme.stress()
-    told = "of the 4 cells run both ways 14 of 20 runs succeed without remedies, 18 of 20 with them (70 % and 90 %"
-    assert told in readme.stress() and "alone" not in readme.stress()
+    reported = "of the 4 cells run both ways 14 of 20 runs succeed without remedies, 18 of 20 with them (70 % and 90 %"
+    assert reported in readme.stress() and "alone" not in readme.stress()
     lines = readme.remedies().splitlines()
     assert "| fern | views-3 | fit | 2 of 5, 14.00 dB | 4 of 5, 15.50 dB |" in lines
     assert "| lego | seeds | arf | 5 of 5, 0.600 | 5 of 5, – |" in lines
@@ -84,7 +84,7 @@ def test_cells_that_remedies_do_not_touch_are_counted_alone(commands, monkeypatc
     assert "Left out: 2 cells" in readme.remedies()
 
 
-def test_runs_that_have_no_twin_with_remedies_are_summed_apart():
+def test_runs_that_have_no_second_with_remedies_are_summed_apart():
     """Five seeds without and one with in one cell, one and one in another: each cell counts alike in the means."""
     one = {"count": 1, "rate": 1.0}
     rows = [cell("fit", "seeds", 5, 20.0), cell("fit + remedies", "seeds", 1, 20.0) | one,

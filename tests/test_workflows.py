@@ -19,7 +19,7 @@ from tests.conftest import REPOSITORY
 
 SCRIPT = REPOSITORY / "workflows" / "scene.sh"
 SETTINGS = REPOSITORY / "examples" / "render.toml"
-# Writes down what it is called with, and fails where it is told to.
+# Writes down what it is called with, and fails where it is reported to.
 STAND_IN = """#!{python}
 import json, os, sys
 with open(os.environ["CALLS"], "a") as calls:
@@ -72,21 +72,21 @@ def test_the_field_gets_a_name_that_an_artifact_can_have(tmp_path, file, name):
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_text("a painting")
     code, calls = scripted(tmp_path, "photos", file, "work")
-    asked = [call[call.index(flag) + 1] for call, flag in zip(calls[3:6], ("--name", "--of", "--of"), strict=True)]
-    assert code == 0 and len(set(asked)) == 1 and re.fullmatch(name, asked[0])
+    requested = [call[call.index(flag) + 1] for call, flag in zip(calls[3:6], ("--name", "--of", "--of"), strict=True)]
+    assert code == 0 and len(set(requested)) == 1 and re.fullmatch(name, requested[0])
     with pytest.raises(ArtifactStale):  # not that it cannot be a name
-        WorkFolder(tmp_path).get("field", asked[0])
+        WorkFolder(tmp_path).get("field", requested[0])
 
 
 @pytest.mark.parametrize("verb", ["import", "fit", "stylize", "render", "eval", "verify"])
 def test_help_tells_its_flags(verb):
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-m", "stylerf_cli.main", verb, "--help"],
         check=True, capture_output=True, text=True, cwd=REPOSITORY,
     ).stdout  # fmt: skip
     for line in re.findall(rf"^run {verb} (.+)$", SCRIPT.read_text(), re.M):
         for flag in re.findall(r"--[a-z-]+", line):
-            assert re.search(rf"{flag}\b", told), flag
+            assert re.search(rf"{flag}\b", reported), flag
 
 
 def test_a_step_that_fails_ends_it(tmp_path):

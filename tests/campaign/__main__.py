@@ -31,14 +31,14 @@ UNPRIVILEGED = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--i
 def main(argv: list[str] | None = None) -> int:
     """Run the requested parts; return 1 if any fault was found."""
     argv = sys.argv[1:] if argv is None else argv
-    asked = arguments(argv)
+    requested = arguments(argv)
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     folder = Path(tempfile.mkdtemp(prefix="campaign-", dir=place))
     try:
         with Lanes(folder) as lanes:
-            return campaign(asked, lanes, folder, f"python -m tests.campaign {shlex.join(argv)}")
+            return campaign(requested, lanes, folder, f"python -m tests.campaign {shlex.join(argv)}")
     finally:
-        if asked.replay:
+        if requested.replay:
             print(f"kept: {folder}")
         else:
             shutil.rmtree(folder, ignore_errors=True)
@@ -90,13 +90,13 @@ class Lanes:
                 except queue.Empty:
                     return
                 try:
-                    told = work(lane, job)
+                    reported = work(lane, job)
                 except BaseException as error:
                     broken.append(error)
                     raise
-                results.append(told)
-                if told.get("fault") or told.get("outcome") in pool.FAULTS:
-                    print(f"FAULT {what}: {json.dumps(told, ensure_ascii=False)[:900]}", flush=True)
+                results.append(reported)
+                if reported.get("fault") or reported.get("outcome") in pool.FAULTS:
+                    print(f"FAULT {what}: {json.dumps(reported, ensure_ascii=False)[:900]}", flush=True)
                 if len(results) % max(total // 20, 1) == 0:
                     print(f"{what}: {len(results)} of {total}", flush=True)
 
@@ -114,7 +114,7 @@ class Lanes:
             one.close()
 
 
-def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str) -> int:
+def campaign(requested: argparse.Namespace, lanes: Lanes, folder: Path, command: str) -> int:
     """Run all parts in turn; rewrite the result file after each."""
     strace = machine_of_strace()
     if not strace:
@@ -122,7 +122,7 @@ def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str
     parts: dict[str, Any] = {}
     seconds: dict[str, float] = {}
     begun = time.monotonic()
-    ground = prepared(folder, lanes.nurseries[0], asked.stages or (), readers.plain(asked.cases or ()))
+    ground = prepared(folder, lanes.nurseries[0], requested.stages or (), readers.plain(requested.cases or ()))
     seconds["preparation"] = time.monotonic() - begun
     wholes: dict[str, kills.Undisturbed] = {}
 
@@ -135,67 +135,67 @@ def campaign(asked: argparse.Namespace, lanes: Lanes, folder: Path, command: str
         wholes[name] = kills.undisturbed(lanes.nurseries[lane], ground, ground.stages[name], strace)
         return {}
 
-    wanted = [asked.only] if asked.only else ["kills", "faults", "crowds", "mutants"]
-    if asked.replay:
-        return replay(asked, ground, lanes)
+    wanted = [requested.only] if requested.only else ["kills", "faults", "crowds", "mutants"]
+    if requested.replay:
+        return replay(requested, ground, lanes)
     for name in wanted:
         begun = time.monotonic()
         if name == "kills":
-            parts[name] = killed(asked, ground, lanes, known())
+            parts[name] = killed(requested, ground, lanes, known())
         elif name == "faults":
-            parts[name] = failing(asked, ground, lanes, known())
+            parts[name] = failing(requested, ground, lanes, known())
         elif name == "crowds":
             nurseries = lanes.more(crowds.MOST)
-            seeds = [f"{asked.seed}/crowd/{number}" for number in range(asked.crowds)]
+            seeds = [f"{requested.seed}/crowd/{number}" for number in range(requested.crowds)]
             found = [
-                told_at_once(crowds.trial(nurseries, ground, seed, alike=number % 3 == 0), "crowds")
+                printed_if_faulty(crowds.trial(nurseries, ground, seed, alike=number % 3 == 0), "crowds")
                 for number, seed in enumerate(seeds)
             ]
-            parts[name] = crowds.told_in_sum(found)
+            parts[name] = crowds.summary(found)
         else:
-            parts[name] = damaged(asked, ground, lanes)
+            parts[name] = damaged(requested, ground, lanes)
         seconds[name] = time.monotonic() - begun
         print(report.line_of(name, parts[name]), flush=True)
-        report.write(asked.out, command, asked.seed, parts, seconds, strace)
+        report.write(requested.out, command, requested.seed, parts, seconds, strace)
     return int(any(part["faults"] for part in parts.values()))
 
 
-def told_at_once(told: dict[str, Any], what: str) -> dict[str, Any]:
+def printed_if_faulty(reported: dict[str, Any], what: str) -> dict[str, Any]:
     """Print a fault."""
-    if told["fault"]:
-        print(f"FAULT {what}: {json.dumps(told, ensure_ascii=False)[:900]}", flush=True)
-    return told
+    if reported["fault"]:
+        print(f"FAULT {what}: {json.dumps(reported, ensure_ascii=False)[:900]}", flush=True)
+    return reported
 
 
-def killed(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
+def killed(requested: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
     """Run trials until the number of kills is reached, cycling through the stages."""
     names, trials, number = list(ground.stages), [], 0
-    while (left := asked.kills - sum(one["kills"] for one in trials)) > 0:
+    while (left := requested.kills - sum(one["kills"] for one in trials)) > 0:
         jobs = [(names[at % len(names)], at) for at in range(number, number + max(left * 2 // 3, 1))]
         number += len(jobs)
 
         def one(lane: int, job: tuple[str, int]) -> dict[str, Any]:
             name, at = job
             stage, by_call = ground.stages[name], (at // len(names)) % 2 == 1 and bool(wholes[name].calls)
-            seed = f"{asked.seed}/{name}/{at}"
+            seed = f"{requested.seed}/{name}/{at}"
             return kills.trial(lanes.nurseries[lane], ground, stage, wholes[name], seed, by_call) | {"by_call": by_call}
 
         trials += lanes.each(jobs, one, "kills")
-        if number > 20 * asked.kills:
+        if number > 20 * requested.kills:
             break
-    return kills.told_in_sum(trials)
+    return kills.summary(trials)
 
 
-def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
+def failing(requested: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dict) -> dict[str, Any]:
     """Inject faults of every kind into every stage in turn, in unprivileged processes where root would not notice."""
-    chance = Random(f"{asked.seed}/faults")
+    chance = Random(f"{requested.seed}/faults")
     kinds = [
         kind
         for kind in faults.KINDS
         if (kind in (faults.MOUNTED, faults.CLOSED) or any(one.calls for one in wholes.values()))
         and (kind != faults.CLOSED or shutil.which("setpriv") or os.geteuid() != 0)
     ]
-    jobs = [(kinds[at % len(kinds)], chance.choice(list(ground.stages)), at) for at in range(asked.faults)]
+    jobs = [(kinds[at % len(kinds)], chance.choice(list(ground.stages)), at) for at in range(requested.faults)]
     prefix = UNPRIVILEGED if os.geteuid() == 0 else ()
     weak = [Nursery(prefix) for _ in range(LANES)] if faults.CLOSED in kinds else []
 
@@ -203,70 +203,72 @@ def failing(asked: argparse.Namespace, ground: Ground, lanes: Lanes, wholes: dic
         kind, name, at = job
         nursery = weak[lane] if kind == faults.CLOSED else lanes.nurseries[lane]
         return faults.trial(
-            nursery, ground, ground.stages[name], wholes[name], kind, f"{asked.seed}/{kind}/{name}/{at}"
+            nursery, ground, ground.stages[name], wholes[name], kind, f"{requested.seed}/{kind}/{name}/{at}"
         )
 
     try:
-        return faults.told_in_sum(lanes.each(jobs, one, "faults"))
+        return faults.summary(lanes.each(jobs, one, "faults"))
     finally:
         for nursery in weak:
             nursery.close()
 
 
-def damaged(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str, Any]:
+def damaged(requested: argparse.Namespace, ground: Ground, lanes: Lanes) -> dict[str, Any]:
     """Read mutants in workers; read a sample by separate commands too, whose exit codes must agree."""
-    root = readers.prepare(ground, lanes.nurseries[0], asked.cases or ())
+    root = readers.prepare(ground, lanes.nurseries[0], requested.cases or ())
     workers = [pool.Worker(root, lane) for lane in range(LANES)]
     try:
 
         def read(lane: int, job: tuple[str, int]) -> dict[str, Any]:
-            return workers[lane].run(job[0], job[1], asked.seed)
+            return workers[lane].run(job[0], job[1], requested.seed)
 
-        sound = lanes.each(readers.sound(asked.cases or ()), read, "sound files")
+        sound = lanes.each(readers.sound(requested.cases or ()), read, "sound files")
         refused = [one for one in sound if one["outcome"] != "read"]
         assert not refused, f"what is not damaged is not read: {refused}"
-        jobs = readers.numbers(asked.mutants, asked.cases or ())
+        jobs = readers.numbers(requested.mutants, requested.cases or ())
         outcomes = lanes.each(jobs, read, "mutants")
     finally:
         for one in workers:
             one.close()
-    told = [one for one in outcomes if readers.BY_NAME[one["case"]].commands and one.get("code") is not None]
-    told = Random(asked.seed).sample(told, min(len(told), IN_THE_CLI * asked.mutants // 10_000))
+    reported = [one for one in outcomes if readers.BY_NAME[one["case"]].commands and one.get("code") is not None]
+    reported = Random(requested.seed).sample(reported, min(len(reported), IN_THE_CLI * requested.mutants // 10_000))
     again = lanes.each(
-        told, lambda lane, one: in_a_command(lanes.nurseries[lane], root, one, lane), "mutants in commands"
+        reported, lambda lane, one: in_a_command(lanes.nurseries[lane], root, one, lane), "mutants in commands"
     )
-    whole = pool.told_in_sum(outcomes)
+    whole = pool.summary(outcomes)
     whole["in_commands_of_their_own"] = len(again)
     whole["faults"] += [one for one in again if one["fault"]]
     return whole
 
 
-def in_a_command(nursery: Nursery, root: Path, told: dict[str, Any], lane: int) -> dict[str, Any]:
+def in_a_command(nursery: Nursery, root: Path, reported: dict[str, Any], lane: int) -> dict[str, Any]:
     """Read the same mutant in a separate process."""
     folder = root.parent / f"command{lane}" / "t"
     shutil.rmtree(folder.parent, ignore_errors=True)
     folder.parent.mkdir(parents=True)
-    placed = readers.place(root, readers.BY_NAME[told["case"]], told["number"], told["seed"], folder)
+    placed = readers.place(root, readers.BY_NAME[reported["case"]], reported["number"], reported["seed"], folder)
     ended = nursery.run(root.parent / f"said{lane}", *placed.command)
     fault = ""
-    if ended.code != told["code"]:
-        fault = f"ends with {ended.code} in a command of its own, with {told['code']} in a worker: {ended.err[:500]}"
+    if ended.code != reported["code"]:
+        fault = (
+            f"ends with {ended.code} in a command of its own, with {reported['code']} in a worker: {ended.err[:500]}"
+        )
     elif ended.code and (ended.err.count("\n") != 1 or not ended.err.startswith("stylerf: error: ")):
         fault = f"more or other than one line: {ended.err[:500]}"
-    return {key: told[key] for key in ("case", "number", "seed")} | {"fault": fault}
+    return {key: reported[key] for key in ("case", "number", "seed")} | {"fault": fault}
 
 
-def replay(asked: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
+def replay(requested: argparse.Namespace, ground: Ground, lanes: Lanes) -> int:
     """Make one mutant, in a folder that is kept."""
-    name, _, number = asked.replay.rpartition(":")
+    name, _, number = requested.replay.rpartition(":")
     root = readers.prepare(ground, lanes.nurseries[0], [name])
     worker = pool.Worker(root, 0)
-    told = worker.run(name, int(number), asked.seed)
+    reported = worker.run(name, int(number), requested.seed)
     worker.close()
-    print(json.dumps(told, indent=1, ensure_ascii=False))
-    placed = readers.place(root, readers.BY_NAME[name], int(number), asked.seed, root.parent / "replayed")
+    print(json.dumps(reported, indent=1, ensure_ascii=False))
+    placed = readers.place(root, readers.BY_NAME[name], int(number), requested.seed, root.parent / "replayed")
     print(f"{placed.file}\nstylerf {shlex.join(placed.command)}")
-    return int(told["outcome"] in pool.FAULTS)
+    return int(reported["outcome"] in pool.FAULTS)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool, plai
     count = min(chance.randint(FEWEST, MOST), len(nurseries))
     known = COMMANDS[2:3] if plain else COMMANDS
     chosen = [chance.choice(known)] * count if alike else [chance.choice(known + READING) for _ in range(count)]
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "seed": seed,
         "alike": alike,
         "processes": count,
@@ -49,28 +49,28 @@ def trial(nurseries: list[Nursery], ground: Ground, seed: str, alike: bool, plai
             for number, (nursery, (verb, *options)) in enumerate(zip(nurseries, chosen))
         ]
         codes = [command.wait() for command in running]
-        told["codes"] = codes
+        reported["codes"] = codes
         for command, line in zip(running, chosen):
             if (
                 command.code not in (0, 5)
                 or "Traceback" in command.err
                 or (command.code and command.err.count("\n") != 1)
             ):
-                return told | {"fault": f"{' '.join(map(str, line))} ends with {command.code}: {command.err[:600]}"}
+                return reported | {"fault": f"{' '.join(map(str, line))} ends with {command.code}: {command.err[:600]}"}
         if fault := verified(nurseries[0], work):
-            return told | {"fault": fault}
+            return reported | {"fault": fault}
         made = contents(work)
         if fault := _run_all(nurseries[0], work, chosen):
-            return told | {"fault": fault}
+            return reported | {"fault": fault}
         crowd, left = contents(work), leftovers(work)
     with copy_of(ground.made, ground.folder / "trials") as work:
         if fault := _run_all(nurseries[0], work, chosen):
-            return told | {"fault": fault}
+            return reported | {"fault": fault}
         alone = contents(work)
     other = differing(crowd, alone) or differing(made, {name: alone.get(name, {}) for name in made})
     if other or left:
-        return told | {"fault": f"makes another or leaves {', '.join([*other, *left][:4])}"}
-    return told | {"fault": ""}
+        return reported | {"fault": f"makes another or leaves {', '.join([*other, *left][:4])}"}
+    return reported | {"fault": ""}
 
 
 def _run_all(nursery: Nursery, work: Path, chosen: list[tuple]) -> str:
@@ -81,7 +81,7 @@ def _run_all(nursery: Nursery, work: Path, chosen: list[tuple]) -> str:
     return ""
 
 
-def told_in_sum(trials: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Return counts by exit code and number of processes, and every fault with its seed."""
     return {
         "crowds": len(trials),

@@ -66,18 +66,18 @@ def trial(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, ki
     """Run once with a fault, once without; return what happened, with an empty `fault` if all is well."""
     chance = Random(seed)
     if kind == MOUNTED:
-        told = _mounted(nursery, ground, stage, whole, chance)
+        reported = _mounted(nursery, ground, stage, whole, chance)
     elif kind == CLOSED:
-        told = _closed(nursery, ground, stage, whole, chance)
+        reported = _closed(nursery, ground, stage, whole, chance)
     else:
-        told = _injected(nursery, ground, stage, whole, kind, chance)
-    return {"stage": stage.name, "kind": kind, "seed": seed, **told}
+        reported = _injected(nursery, ground, stage, whole, kind, chance)
+    return {"stage": stage.name, "kind": kind, "seed": seed, **reported}
 
 
 def _injected(nursery, ground: Ground, stage: Stage, whole: Undisturbed, kind: str, chance: Random) -> dict[str, Any]:
     with copy_of(stage.base, ground.folder / "trials") as work:
         if kind == SLOW:
-            asked, names, moment = [f"fsync,rename:delay_enter={DELAY_MICROSECONDS}"], ("fsync", "rename"), "all"
+            requested, names, moment = [f"fsync,rename:delay_enter={DELAY_MICROSECONDS}"], ("fsync", "rename"), "all"
         else:
             found = choices(kind, whole)
             if not found:
@@ -85,10 +85,10 @@ def _injected(nursery, ground: Ground, stage: Stage, whole: Undisturbed, kind: s
             call = chance.choice(found)
             # Files of libraries are opened and read too: only what writes may fail for good.
             lasting = "" if call.name in ("openat", "read") else chance.choice(("", "+"))
-            asked = [f"{call.name}:error={ERRORS[kind][0]}:when={call.number}{lasting}"]
+            requested = [f"{call.name}:error={ERRORS[kind][0]}:when={call.number}{lasting}"]
             names, moment = (call.name,), f"{call.name} {call.number}{lasting}: {call.text[:90]}"
         log = work.parent / "strace.log"
-        command, tracer = traced(nursery, work.parent / "said", log, stage.command(work), asked, names)
+        command, tracer = traced(nursery, work.parent / "said", log, stage.command(work), requested, names)
         command.wait()
         ended(tracer)
         met = injected(log, work)
@@ -103,16 +103,16 @@ def _judged(
 ) -> dict[str, Any]:
     """Return code, last line and fault of a command that hit a fault, and of the rerun after it."""
     code, err = command.code, command.err
-    told = {"code": code, "line": (err.splitlines() or [""])[-1][:300]}
+    reported = {"code": code, "line": (err.splitlines() or [""])[-1][:300]}
     allowed = ENDS_WELL_OR_OUT_OF_RESOURCES + ((3, 4) if kind in ("read error", "stale handle") else ())
     if code not in allowed:
-        return told | {"fault": f"ends with {code}: {err.strip()[:600]}"}
+        return reported | {"fault": f"ends with {code}: {err.strip()[:600]}"}
     if "Traceback" in err or (code and not mute and err.count("\n") != 1):
-        return told | {"fault": f"does not tell it in one line: {err.strip()[:600]}"}
+        return reported | {"fault": f"does not tell it in one line: {err.strip()[:600]}"}
     if code == 0 and (other := differing(contents(work), whole.files)):
-        return told | {"fault": f"ends well and makes another {', '.join(other[:4])}"}
+        return reported | {"fault": f"ends well and makes another {', '.join(other[:4])}"}
     fault = verified(nursery, work) or finished_well(nursery, stage, work, whole)
-    return told | {"fault": fault}
+    return reported | {"fault": fault}
 
 
 def _mounted(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, chance: Random) -> dict[str, Any]:
@@ -131,12 +131,12 @@ def _mounted(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed,
             command = nursery.run(said, *stage.command(folder / "work"))
             moment = f"{room} bytes, {there} of them taken"
             code, err = command.code, command.err
-            told = {"moment": moment, "code": code, "line": (err.splitlines() or [""])[-1][:300]}
+            reported = {"moment": moment, "code": code, "line": (err.splitlines() or [""])[-1][:300]}
             if code not in ENDS_WELL_OR_OUT_OF_RESOURCES or "Traceback" in err or (code and err.count("\n") != 1):
-                return told | {"fault": f"ends with {code}: {err.strip()[:600]}"}
+                return reported | {"fault": f"ends with {code}: {err.strip()[:600]}"}
             fault = verified(nursery, folder / "work", work.parent / "verify")  # the full disk has no room for output
             _mount(folder, "remount,size=256m")
-            return told | {"fault": fault or finished_well(nursery, stage, folder / "work", whole)}
+            return reported | {"fault": fault or finished_well(nursery, stage, folder / "work", whole)}
         finally:
             subprocess.run(["umount", "-l", str(folder)], check=False)
 
@@ -156,11 +156,11 @@ def _closed(nursery: Nursery, ground: Ground, stage: Stage, whole: Undisturbed, 
             command = nursery.run(work.parent / "said", *stage.command(work))
         finally:
             closed.chmod(0o755)
-        told = _judged(nursery, stage, work, whole, command, CLOSED)
-        return {"moment": str(closed.relative_to(work.parent)), **told}
+        reported = _judged(nursery, stage, work, whole, command, CLOSED)
+        return {"moment": str(closed.relative_to(work.parent)), **reported}
 
 
-def told_in_sum(trials: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Return counts by kind and exit code, and every fault with its seed."""
     by_kind: dict[str, Counter] = {}
     for one in trials:

@@ -188,8 +188,8 @@ def contents(work: Path) -> dict[str, dict[str, str]]:
         for one in store.artifacts()
     }
     for run in sorted(work.glob("stress/runs/*.json")):
-        told = json.loads(run.read_text())
-        found[f"stress/{run.name}"] = {key: repr(value) for key, value in told.items() if "seconds" not in key}
+        reported = json.loads(run.read_text())
+        found[f"stress/{run.name}"] = {key: repr(value) for key, value in reported.items() if "seconds" not in key}
     return found
 
 

@@ -69,7 +69,7 @@ def trial(
     """One run, killed up to MOST_IN_A_ROW times, then let go: what happened; `fault` is empty where all is well."""
     chance = Random(seed)
     wanted = chance.choice((1, 1, 1, 2, MOST_IN_A_ROW))
-    told: dict[str, Any] = {"stage": stage.name, "seed": seed, "moments": [], "kills": 0, "fault": ""}
+    reported: dict[str, Any] = {"stage": stage.name, "seed": seed, "moments": [], "kills": 0, "fault": ""}
     with copy_of(stage.base, ground.folder / "trials") as work:
         for _ in range(wanted):
             if by_call:
@@ -82,15 +82,15 @@ def trial(
                 # strace follows the child of structure from motion too; the parent reports its death.
                 moment += " in its child"
             elif command.code != -signal.SIGKILL:
-                told["fault"] = f"ends with {command.code} before it is killed: {command.err.strip()}"
-                return told
-            told["moments"].append(moment)
-            told["kills"] += 1
+                reported["fault"] = f"ends with {command.code} before it is killed: {command.err.strip()}"
+                return reported
+            reported["moments"].append(moment)
+            reported["kills"] += 1
             if fault := verified(nursery, work):
-                told["fault"] = fault
-                return told
-        told["fault"] = finished_well(nursery, stage, work, whole)
-    return told
+                reported["fault"] = fault
+                return reported
+        reported["fault"] = finished_well(nursery, stage, work, whole)
+    return reported
 
 
 def finished_well(nursery: Nursery, stage: Stage, work: Path, whole: Undisturbed) -> str:
@@ -127,14 +127,14 @@ def killed_at_a_call(
     name = chance.choice([name for name, calls in by_name.items() if calls])
     call = chance.choice(by_name[name])
     log = work.parent / "strace.log"
-    asked = [f"{name}:signal=KILL:when={call.number}"]
-    command, tracer = traced(nursery, work.parent / "said", log, stage.command(work), asked, (name,))
+    requested = [f"{name}:signal=KILL:when={call.number}"]
+    command, tracer = traced(nursery, work.parent / "said", log, stage.command(work), requested, (name,))
     command.wait()
     ended(tracer)
     return f"{name} {call.number}: {call.text[:80]}", command
 
 
-def told_in_sum(trials: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Counts by stage and kind of moment, and every fault with its seed."""
     kills = Counter()
     for one in trials:
@@ -155,6 +155,6 @@ def run(nursery: Nursery, ground: Ground, wholes: dict[str, Undisturbed], names:
     for number, name in enumerate(names):
         stage, by_call = ground.stages[name], number % 2 == 1 and bool(wholes[name].calls)
         begun = time.monotonic()
-        told = trial(nursery, ground, stage, wholes[name], f"{seed}/{name}/{number}", by_call)
-        trials.append(told | {"by_call": by_call, "seconds": round(time.monotonic() - begun, 2)})
+        reported = trial(nursery, ground, stage, wholes[name], f"{seed}/{name}/{number}", by_call)
+        trials.append(reported | {"by_call": by_call, "seconds": round(time.monotonic() - begun, 2)})
     return trials

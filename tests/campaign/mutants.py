@@ -255,8 +255,8 @@ def damaged_png(data: bytes) -> bool:
     while at + 12 <= len(data) and not pixels.eof:
         length = int.from_bytes(data[at : at + 4], "big")
         name, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
-        told = data[at + 8 + length : at + 12 + length]
-        if len(told) < 4 or (name[:1].isupper() and zlib.crc32(name + body) != int.from_bytes(told, "big")):
+        reported = data[at + 8 + length : at + 12 + length]
+        if len(reported) < 4 or (name[:1].isupper() and zlib.crc32(name + body) != int.from_bytes(reported, "big")):
             return True
         if name == b"IDAT":
             try:

@@ -110,18 +110,18 @@ def _resident(pid: int) -> int:
 def attempt(root: Path, case: Case, number: int, seed: int, folder: Path, wholes: dict[str, Any]) -> dict[str, Any]:
     """Make the mutant in `folder`, have it read, judge the result."""
     placed = place(root, case, number, seed, folder)
-    told: dict[str, Any] = {"file": placed.file.relative_to(folder).as_posix(), "operators": placed.operators}
+    reported: dict[str, Any] = {"file": placed.file.relative_to(folder).as_posix(), "operators": placed.operators}
     _reset_peak()
     begun = time.monotonic()
     code, out, err = call(alone(case.alone), placed.file) if case.alone else command(placed.command)
-    told |= {"seconds": round(time.monotonic() - begun, 3), "bytes": _peak(), "code": code}
-    told["line"] = (err.splitlines() or [""])[-1][:400].replace(str(folder), "")
-    fault = judged(case, placed, code, err, told, wholes)
+    reported |= {"seconds": round(time.monotonic() - begun, 3), "bytes": _peak(), "code": code}
+    reported["line"] = (err.splitlines() or [""])[-1][:400].replace(str(folder), "")
+    fault = judged(case, placed, code, err, reported, wholes)
     if fault == "silent" and "NOT READABLE" in out:  # as `show` has it of one artifact of many
-        return told | {"outcome": "refused"}
+        return reported | {"outcome": "refused"}
     if fault == "words":
-        told["line"] = repr(err[:800])
-    return told | {"outcome": fault or ("read" if code == 0 else "refused")}
+        reported["line"] = repr(err[:800])
+    return reported | {"outcome": fault or ("read" if code == 0 else "refused")}
 
 
 def command(words: tuple[str, ...]) -> tuple[int | None, str, str]:
@@ -149,19 +149,19 @@ def call(reader, path: Path) -> tuple[int | None, str, str]:
     return 0, "", ""
 
 
-def judged(case: Case, placed: Placed, code: int | None, err: str, told: dict[str, Any], wholes: dict) -> str:
+def judged(case: Case, placed: Placed, code: int | None, err: str, reported: dict[str, Any], wholes: dict) -> str:
     """Return the fault of an outcome, one of FAULTS; empty if it is acceptable."""
     if any(path.name not in ("src", placed.folder.name) for path in placed.folder.parent.iterdir()):
         return "outside"
     if code is None or "Traceback" in err or (code == 1 and "unexpected" in err):
         return "traceback"
-    if told["bytes"] > MOST_BYTES:
+    if reported["bytes"] > MOST_BYTES:
         return "memory"
-    if told["seconds"] > LONGEST_SECONDS:
+    if reported["seconds"] > LONGEST_SECONDS:
         return "slow"
     if code == 0:
         if why := must_be_refused(case, placed):
-            told["line"] = why
+            reported["line"] = why
             return "silent"
         if case.same and _files(placed.folder / "work", case.same) != wholes.get(case.same):
             return "other result"
@@ -217,8 +217,8 @@ def serve(root: Path, lane: Path) -> None:
         folder = lane / "trial" / "t"
         shutil.rmtree(folder.parent, ignore_errors=True)
         folder.parent.mkdir()
-        told = attempt(root, case, order["number"], order["seed"], folder, wholes)
-        print(json.dumps(told), file=answers, flush=True)
+        reported = attempt(root, case, order["number"], order["seed"], folder, wholes)
+        print(json.dumps(reported), file=answers, flush=True)
 
 
 def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
@@ -237,7 +237,7 @@ def undisturbed(root: Path, case: Case, folder: Path) -> dict[str, str]:
 # -- what came of them -------------------------------------------------------------------------------------------------
 
 
-def told_in_sum(outcomes: list[dict[str, Any]]) -> dict[str, Any]:
+def summary(outcomes: list[dict[str, Any]]) -> dict[str, Any]:
     """Return counts by reader and outcome, the largest seconds and bytes, and every fault with how to reproduce it."""
     by_case: dict[str, Counter] = {}
     for one in outcomes:

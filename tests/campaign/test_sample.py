@@ -41,23 +41,23 @@ def wholes(ground, nursery):
 def test_a_killed_command_breaks_nothing_and_its_rerun_ends_the_same(ground, nursery, wholes, name, by_call):
     if by_call and not wholes[name].calls:
         pytest.skip("strace is missing or may not inject")
-    told = kills.trial(nursery, ground, ground.stages[name], wholes[name], f"sample/{name}", by_call)
-    assert told["fault"] == "" and (told["kills"] or not by_call), told
+    reported = kills.trial(nursery, ground, ground.stages[name], wholes[name], f"sample/{name}", by_call)
+    assert reported["fault"] == "" and (reported["kills"] or not by_call), reported
 
 
 @pytest.mark.parametrize("kind", ["full disk", "input/output error"])
 def test_a_failing_disk_is_reported_and_the_rerun_succeeds(ground, nursery, wholes, kind):
-    told = faults.trial(nursery, ground, ground.stages["import"], wholes["import"], kind, f"sample/{kind}")
-    assert told["fault"] == "", told
+    reported = faults.trial(nursery, ground, ground.stages["import"], wholes["import"], kind, f"sample/{kind}")
+    assert reported["fault"] == "", reported
 
 
 def test_two_processes_share_a_work_folder(ground, nursery):
     other = Nursery()
     try:
-        told = crowds.trial([nursery, other], ground, "sample", alike=True, plain=True)
+        reported = crowds.trial([nursery, other], ground, "sample", alike=True, plain=True)
     finally:
         other.close()
-    assert told["fault"] == "", told
+    assert reported["fault"] == "", reported
 
 
 def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
@@ -69,7 +69,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(ground, nursery):
     finally:
         worker.close()
     assert {one["outcome"] for one in sound} == {"read"}, sound
-    assert pool.told_in_sum(outcomes)["faults"] == []
+    assert pool.summary(outcomes)["faults"] == []
     assert {one["outcome"] for one in outcomes} == {"read", "refused"}
 
 
@@ -77,8 +77,8 @@ def test_the_result_file_is_of_a_full_campaign_without_faults():
     path = REPOSITORY / "benchmarks" / "results" / "campaign.json"
     if not path.is_file():
         pytest.skip("the campaign has not been run yet")
-    told = json.loads(path.read_text())
-    assert told["kills"]["kills"] >= 200 and told["mutants"]["mutants"] >= 10_000
-    assert {name: told[name]["faults"] for name in ("kills", "mutants", "faults", "crowds")} == {
+    reported = json.loads(path.read_text())
+    assert reported["kills"]["kills"] >= 200 and reported["mutants"]["mutants"] >= 10_000
+    assert {name: reported[name]["faults"] for name in ("kills", "mutants", "faults", "crowds")} == {
         name: [] for name in ("kills", "mutants", "faults", "crowds")
     }

@@ -1,4 +1,4 @@
-"""Writes are whole or absent, and a disk that refuses is told apart from other faults."""
+"""Writes are whole or absent, and a disk that refuses is reported apart from other faults."""
 
 import errno
 import os
@@ -39,7 +39,7 @@ def test_ordinary_names_are_no_leftovers(tmp_path, name):
     ("code", "word"),
     [(errno.ENOSPC, "space"), (errno.EDQUOT, "space"), (errno.EACCES, "permission"), (errno.EROFS, "permission")],
 )
-def test_refusals_of_the_disk_are_told_in_words(tmp_path, monkeypatch, code, word):
+def test_refusals_of_the_disk_are_reported_in_words(tmp_path, monkeypatch, code, word):
     def refuse(*_):
         raise OSError(code, os.strerror(code))
 

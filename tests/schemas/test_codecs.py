@@ -67,5 +67,5 @@ def test_a_disk_that_takes_no_zeros_either_is_what_the_codec_failed_of(number, t
         raise OSError(number, errno.errorcode[number])
 
     monkeypatch.setattr(atomic_write.os, "fsync", failing)
-    told = atomic_write.refusal_of_disk(tmp_path / "x.exr", 5000)
-    assert isinstance(told, OutOfResources) and str(tmp_path) in str(told)
+    reported = atomic_write.refusal_of_disk(tmp_path / "x.exr", 5000)
+    assert isinstance(reported, OutOfResources) and str(tmp_path) in str(reported)

@@ -12,6 +12,7 @@ import pytest
 
 from schemas.errors import BadInput, OutOfResources
 from schemas.exr import FAR_Z, ExrView, read_depth, read_exr, world_to_camera, world_to_ndc, write_exr
+from schemas.safe_reading import set_allowance
 from tests.conftest import REPOSITORY
 from tests.schemas import unusual_exr
 
@@ -263,7 +264,7 @@ def test_the_library_s_warnings_do_not_reach_the_terminal(tmp_path, view):
     assert (done.stdout, done.stderr) == ("refused\n", "")
 
 
-def test_a_full_disk_is_told(tmp_path, view, monkeypatch):
+def test_a_full_disk_is_reported(tmp_path, view, monkeypatch):
     def fail(*_):
         raise RuntimeError("Failed to write pixel data")
 
@@ -286,6 +287,7 @@ def test_a_full_disk_is_told(tmp_path, view, monkeypatch):
     ],
 )
 def test_what_is_no_flat_picture_is_refused_by_its_header(tmp_path, make, word):
+    set_allowance(None)
     make(tmp_path / "a.exr")
     with pytest.raises((BadInput, OutOfResources), match=word):
         read_depth(tmp_path / "a.exr")

@@ -12,9 +12,9 @@ FRAMES = Frames("fit", "test", (Frame("a", "exr/a.exr", "png/a.png", FrameCamera
 
 
 def test_masks_are_kept_by_region(tmp_path):
-    told = Frames(FRAMES.field, FRAMES.path, FRAMES.views, 24.0, {"left.eye": "left_eye"})
-    write_frames(tmp_path, told)
-    assert read_frames(tmp_path) == told
+    reported = Frames(FRAMES.field, FRAMES.path, FRAMES.views, 24.0, {"left.eye": "left_eye"})
+    write_frames(tmp_path, reported)
+    assert read_frames(tmp_path) == reported
     assert json.loads((tmp_path / "frames.json").read_text())["masks"] == {"left.eye": "left_eye"}
 
 

@@ -290,7 +290,7 @@ def test_codecs_print_nothing_of_their_own(tmp_path):
     assert (done.stdout, done.stderr) == ("refused\n", "")
 
 
-def test_a_codec_that_cannot_write_is_told_as_the_disk_refusing(tmp_path):
+def test_a_codec_that_cannot_write_is_reported_as_the_disk_refusing(tmp_path):
     code = (
         "import resource, signal, sys, numpy as np\n"
         "from schemas.errors import OutOfResources\nfrom schemas.images import write_png\n"

@@ -51,7 +51,7 @@ def test_text_is_utf_8_with_or_without_a_mark(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "{", "", "1" * 5000, '{"a": 1,}'])
-def test_what_is_not_json_is_told_in_one_line(tmp_path, text):
+def test_what_is_not_json_is_reported_in_one_line(tmp_path, text):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(BadInput) as fault:
         read_json(tmp_path / "a.json")

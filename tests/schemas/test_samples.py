@@ -1,4 +1,4 @@
-"""What earlier versions wrote still loads, with the digest that it had: the stored samples are never made anew."""
+"""What earlier versions wrote still loads, with the digest that it had: the stored samples are never made again."""
 
 from pathlib import Path
 

@@ -104,7 +104,7 @@ def test_unusable_scenes_are_refused(change, words):
         validate_scene(scene(**change))
 
 
-def test_damaged_scene_files_are_told(tmp_path):
+def test_damaged_scene_files_are_reported(tmp_path):
     with pytest.raises(ArtifactDamaged, match="missing"):
         read_scene(tmp_path)
     write_scene(tmp_path, scene())

@@ -1,4 +1,4 @@
-"""Tensors read back as they were, in every process as the same bytes, and damage is told."""
+"""Tensors read back as they were, in every process as the same bytes, and damage is reported."""
 
 import subprocess
 import sys
@@ -77,7 +77,7 @@ def test_truncated_and_missing_files_are_damage(tmp_path, keep):
 
 
 @pytest.mark.parametrize(("kind", "told"), [(torch.bfloat16, "BF16"), (torch.float8_e4m3fn, "F8_E4M3")])
-def test_types_that_numpy_lacks_are_damage(tmp_path, kind, told):
+def test_types_that_numpy_lacks_are_damage(tmp_path, kind, reported):
     save_file({"density": torch.zeros(4).to(kind)}, tmp_path / "a.safetensors")
-    with pytest.raises(ArtifactDamaged, match=f"a.safetensors.*density has the unknown type {told}"):
+    with pytest.raises(ArtifactDamaged, match=f"a.safetensors.*density has the unknown type {reported}"):
         load_tensors(tmp_path / "a.safetensors")

@@ -75,8 +75,13 @@ def test_mp4_holds_every_frame_at_its_time(pictures, tmp_path, fps):
     with av.open(str(path)) as film:
         stream = film.streams.video[0]
         assert (stream.width, stream.height) == (WIDTH - 1, HEIGHT - 1)  # halved color takes even sides
-        told = stream.codec_context
-        assert (told.colorspace, told.color_primaries, told.color_trc, told.color_range) == (1, 1, 1, 1)  # BT.709, MPEG
+        reported = stream.codec_context
+        assert (reported.colorspace, reported.color_primaries, reported.color_trc, reported.color_range) == (
+            1,
+            1,
+            1,
+            1,
+        )  # BT.709, MPEG
         assert float(stream.average_rate) == pytest.approx(fps, rel=1e-3)
         frames = [(frame.time, frame.to_ndarray(format="rgb24")) for frame in film.decode(stream)]
     assert len(frames) == COUNT

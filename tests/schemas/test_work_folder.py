@@ -173,7 +173,7 @@ def test_unvalid_names_are_refused(tmp_path, name):
         WorkFolder(tmp_path).begin("field", name, recipe())
 
 
-def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
+def test_what_is_begun_again_goes_on_with_nothing_but_its_own(tmp_path):
     work = WorkFolder(tmp_path)
     first = work.begin("field", "fox", recipe())
     (first.checkpoint / "step").write_text("7")
@@ -181,8 +181,8 @@ def test_what_is_begun_anew_goes_on_with_nothing_but_its_own(tmp_path):
     second = work.begin("field", "fox", recipe(), rebuild=True)
     assert not second.resumed and not (second.checkpoint / "step").exists()
     second.release()
-    for anew in (True, False):  # killed, and asked for again in either way
-        again = work.begin("field", "fox", recipe(), rebuild=anew)
+    for rebuild in (True, False):  # killed, and asked for again in either way
+        again = work.begin("field", "fox", recipe(), rebuild=rebuild)
         assert again.resumed
         again.release()
 
@@ -412,7 +412,7 @@ def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_pa
     assert work.outdated(work.get("field", "b")) == ["field b was made again after field b"]
 
 
-def test_sources_are_told_nearest_first_and_of_the_kinds_asked_for(tmp_path):
+def test_sources_are_reported_nearest_first_and_of_the_kinds_asked_for(tmp_path):
     work = WorkFolder(tmp_path)
     scene = make(work, "fox", "scene")
     fit = make(work, "fit", inputs=[scene.reference("scene")])

@@ -70,7 +70,7 @@ def report(
     `name`, else the field's; `changed`, of each metric."""
     inputs = {"field": field} | {f"region.{one.name}": one for one in more.pop("regions", ())}
     name, changed = more.pop("name", field.name), more.pop("changed", {})
-    told = [
+    reported = [
         {"key": key, "mean": mean, "label": BY_KEY[key].label.format_map(FACTS), "unit": BY_KEY[key].unit,
          "better": BY_KEY[key].better, "protocol": protocol, "digits": 2, "count": 3, "left_out": 0,
          "reference": {}} | changed
@@ -78,7 +78,7 @@ def report(
     ]  # fmt: skip
 
     def write(folder) -> None:
-        (folder / "report.json").write_text(json.dumps({"metrics": told, "style_image": "style.png", "edit": edit}))
+        (folder / "report.json").write_text(json.dumps({"metrics": reported, "style_image": "style.png", "edit": edit}))
 
     return made.commit(work, "report", name, "evaluate", inputs, write, figures=metrics, **more)
 

@@ -124,8 +124,8 @@ def make_frames(
             frames.append(Frame(view.name, exr, png, FrameCamera(**camera_entry(view)), i if matched else None))
         write_frames(folder, Frames(field.name, path, tuple(frames), None if path == "test" else 24.0))
 
-    told = {"seconds": 3.0, "peak_memory_mb": 120, "config": config or {}, "revision": revision}
-    return commit(work, "frames", name, "render", {"field": field}, write, **told)
+    reported = {"seconds": 3.0, "peak_memory_mb": 120, "config": config or {}, "revision": revision}
+    return commit(work, "frames", name, "render", {"field": field}, write, **reported)
 
 
 def make_field(work: WorkFolder, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:

@@ -1,4 +1,4 @@
-"""A tiny capture to be spoiled, and outcomes of runs that were never made."""
+"""A tiny capture to be damaged, and outcomes of runs that were never made."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What distill paints into a photo, and which pixels of it a fine-tuning is told to learn from."""
+"""What distill paints into a photo, and which pixels of it a fine-tuning is reported to learn from."""
 
 import numpy as np
 import pytest

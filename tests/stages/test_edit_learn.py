@@ -6,7 +6,7 @@ from stages.configs.edit import EditConfig
 from stages.edit_learn import settings_of
 
 
-def test_steps_after_pruning_are_those_that_were_asked_for():
+def test_steps_after_pruning_are_those_that_were_requested():
     ordinary = settings_of(EditConfig(recolor=True))
     assert (ordinary.pruned_steps, ordinary.pruned_style_steps) == (100, 40)
     assert settings_of(EditConfig(recolor=True, pruned_steps=7)).pruned_steps == 7

@@ -112,8 +112,8 @@ def test_what_was_not_measured_is_listed(fitted):
     assert {"LPIPS and ST-LPIPS"} <= {note["what"] for note in report["not_measured"]}
     assert report["warnings"] == []
     _, bare = evaluated(work, {key: inputs[key] for key in ("scene", "frames")})
-    told = {note["what"] for note in bare["not_measured"]}
-    assert {"Multi-view consistency", "Parameters of the field"} <= told
+    reported = {note["what"] for note in bare["not_measured"]}
+    assert {"Multi-view consistency", "Parameters of the field"} <= reported
     assert bare["pairs"] == [] and bare["curve"] is None
 
 

@@ -80,8 +80,8 @@ def test_one_protocol_adds_no_keys_of_another(filmed):
     work, inputs, everything = filmed
     keys = {}
     for mode in METRICS:
-        told = metrics(evaluated(work, inputs, replace(QUIET, consistency=mode)))
-        keys[mode] = {key for key in told if key.startswith(("short_", "long_"))}
+        reported = metrics(evaluated(work, inputs, replace(QUIET, consistency=mode)))
+        keys[mode] = {key for key in reported if key.startswith(("short_", "long_"))}
     for mode, found in keys.items():
         assert found == {f"{label}_{part}" for label in ("short", "long") for part in METRICS[mode][:2]}, mode
     assert set.union(*keys.values()) <= {*metrics(everything)}
@@ -116,8 +116,8 @@ def test_the_same_flow_from_files_gives_the_same_metrics(filmed, tmp_path, suffi
     assert metrics(again)["short_rmse"] == pytest.approx(metrics(report)["short_rmse"], abs=0.01)
     protocols = {item["key"]: item["protocol"] for item in again["metrics"]}
     digest = pinned(replace(ALL, flow=str(folder))).flow_digest
-    told = f"files (flows {digest[:8]})"
-    assert digest and all(told in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
+    reported = f"files (flows {digest[:8]})"
+    assert digest and all(reported in protocols[key] for key in ("short_rmse", "short_laenerf_script_mse"))
     assert "missing flow counts as 0" in protocols["short_laenerf_script_mse"]
     (folder / f"0000_to_0001{suffix}").unlink()
     with pytest.raises(BadInput, match=r"1 of 12 flows are missing \(0000_to_0001\)"):
@@ -143,11 +143,11 @@ def test_flow_warping_ignores_the_background(tmp_path):
 def test_protocols_name_their_number_of_pairs(filmed):
     work, inputs, everything = filmed
     fewer = evaluated(work, inputs, replace(ALL, pairs=2))
-    told = [{item["key"]: item["protocol"] for item in report["metrics"]} for report in (everything, fewer)]
-    for key in told[0]:
+    reported = [{item["key"]: item["protocol"] for item in report["metrics"]} for report in (everything, fewer)]
+    for key in reported[0]:
         if key.startswith(("short_", "long_")):
             count = 4 if key.startswith("short_") else 2  # of five frames, 1 and 3 apart
-            assert f"mean of {count} pairs" in told[0][key] and "mean of 2 pairs" in told[1][key], key
+            assert f"mean of {count} pairs" in reported[0][key] and "mean of 2 pairs" in reported[1][key], key
     film = PathConsistency(
         FrameViews(inputs["path_frames"], 0.0),
         replace(ALL, perceptual_pairs=1),

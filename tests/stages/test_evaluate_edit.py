@@ -1,4 +1,4 @@
-"""Evaluation of a local edit on made-up pictures: every figure is worked out anew, pixel by pixel."""
+"""Evaluation of a local edit on made-up pictures: every figure is worked out again, pixel by pixel."""
 
 import csv
 import json
@@ -182,7 +182,7 @@ def test_masks_stored_in_frames_replace_marching(made_up, measured, monkeypatch)
         assert report["views"][0]["background_mse"] == pytest.approx(
             measured[1]["views"][0]["background_mse"], rel=1e-3
         )
-        # A region made anew since then is not that of the channel.
+        # A region made again since then is not that of the channel.
         other = made.commit(work, "region", "half.x", "select", {"field": base}, region_of(), config={"other": 1})
         with pytest.raises(AssertionError, match="marched"):
             evaluated(work, inputs | {"unedited_frames": masked, "region.half.x": other}, name="masked")
@@ -318,9 +318,9 @@ def test_consistency_of_the_edit_is_that_of_its_own_pixels(made_up):
 
 def test_palette_metrics_are_those_its_edit_recorded(made_up):
     work, inputs, *_ = made_up
-    told = {"sparsity": 0.75, "palette_variation": 0.012, "psnr": 30.0}
+    reported = {"sparsity": 0.75, "palette_variation": 0.012, "psnr": 30.0}
     nothing = {"write": lambda at: (at / "a").write_text("a")}
-    edit = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures=told)
+    edit = made.commit(work, "edit", "blue", "edit_learn", {}, **nothing, figures=reported)
     painted = made.commit(work, "scene", "painted", "distill", {"scene": inputs["scene"], "edit": edit}, **nothing)
     field = made.make_field(work, "learned", "finetune", {"scene": painted, "field": inputs["base_field"]})
     _, report = evaluated(work, {**inputs, "field": field}, name="palette")

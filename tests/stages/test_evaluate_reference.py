@@ -65,9 +65,9 @@ def test_two_references_are_averaged_and_a_large_one_is_scaled(stylized, tmp_pat
     views = FrameViews(frames["first"], 0.0)
     for name, gray, size in (("a", 100, (72, 96)), ("b", 200, (144, 192))):
         write_png(tmp_path / f"{name}.png", np.full((*size, 3), gray, np.uint8))
-    asked = [f"photo_00={tmp_path / 'a.png'}", f"photo_03={tmp_path / 'b.png'}"]
+    requested = [f"photo_00={tmp_path / 'a.png'}", f"photo_03={tmp_path / 'b.png'}"]
     row, render = ViewRow("any"), views.render(1)
-    References(asked, SceneViews(scene), views).measure(row, 1, render, mean_difference)
+    References(requested, SceneViews(scene), views).measure(row, 1, render, mean_difference)
     wanted = np.mean([mean_difference(render.image, gray / 255) for gray in (100, 200)])
     assert row.values["ref_lpips"] == pytest.approx(wanted, rel=1e-4)
 
@@ -97,21 +97,25 @@ def test_robustness_is_the_psnr_between_the_two_fields(stylized):
     config = EvaluateConfig(perceptual="none", sheet=1)
     artifact, _ = execute(evaluate.SPEC, evaluate.run, work, "second", inputs, config, Context())
     report = json.loads(artifact.file("report.json").read_text())
-    told = next(item for item in report["metrics"] if item["key"] == "robustness")
-    assert told["mean"] == pytest.approx(20, abs=0.1) and told["count"] == 4 and "field first" in told["protocol"]
+    reported = next(item for item in report["metrics"] if item["key"] == "robustness")
+    assert (
+        reported["mean"] == pytest.approx(20, abs=0.1)
+        and reported["count"] == 4
+        and "field first" in reported["protocol"]
+    )
     notes = {note["what"]: note["why"] for note in report["not_measured"]}
     assert "Robustness" not in notes and "Ref-LPIPS" in notes and "art_inception.pth" in notes["ArtFID"]
 
 
-@pytest.mark.parametrize(("spoiled", "remark"), [("second", "of the render"), ("first", "reference field:")])
-def test_a_render_with_nan_is_left_out_and_counted(stylized, monkeypatch, tmp_path, spoiled, remark):
+@pytest.mark.parametrize(("damaged", "remark"), [("second", "of the render"), ("first", "reference field:")])
+def test_a_render_with_nan_is_left_out_and_counted(stylized, monkeypatch, tmp_path, damaged, remark):
     """A NaN pixel in view 1: Robustness and see-through leave the view out, with a remark."""
     work, scene, frames = stylized
     real = FrameViews.render
 
     def render(self, index):
         found = real(self, index)
-        return replace(found, nonfinite=1) if index == 1 and self.frames.field == spoiled else found
+        return replace(found, nonfinite=1) if index == 1 and self.frames.field == damaged else found
 
     monkeypatch.setattr(FrameViews, "render", render)
     inputs = {"scene": scene, "frames": frames["second"], "field": work.get("field", "second")}
@@ -121,7 +125,7 @@ def test_a_render_with_nan_is_left_out_and_counted(stylized, monkeypatch, tmp_pa
     report = json.loads(artifact.file("report.json").read_text())
     counts = {item["key"]: (item["count"], item["left_out"]) for item in report["metrics"]}
     assert counts["robustness"] == counts["shape_change"] == (3, 1)
-    assert counts["see_through"] == ((1, 2) if spoiled == "second" else (3, 0))  # of the view and of the one after it
+    assert counts["see_through"] == ((1, 2) if damaged == "second" else (3, 0))  # of the view and of the one after it
     assert remark in report["views"][1]["remark"]
 
 

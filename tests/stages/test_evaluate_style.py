@@ -132,17 +132,17 @@ def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_pat
     work, given = WorkFolder(tmp_path / "work"), {key: inputs[key] for key in ("scene", "frames")}
     made_with = {"style": "", "reference": ["0=stripes.png"]}
     field = made.commit(work, "field", "referenced", "stylize", {"scene": inputs["scene"]}, write, config=made_with)
-    told = {}
+    reported = {}
     for words, style in (("the reference", ""), ("the style image", str(tmp_path / "stripes.png"))):
         config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
         report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
-        told[words] = json.loads(report.file("report.json").read_text())
+        reported[words] = json.loads(report.file("report.json").read_text())
         for key in ("nnfm", "gram", "palette"):
-            assert metric(told[words], key)["label"].endswith(f"distance to {words}")
-            assert words in metric(told[words], key)["protocol"]
+            assert metric(reported[words], key)["label"].endswith(f"distance to {words}")
+            assert words in metric(reported[words], key)["protocol"]
         page = report.file("report.html").read_text()
         assert f"NNFM distance to {words}" in page and f"<figcaption>{words}</figcaption>" in page
-    assert "painting" not in json.dumps(told["the reference"]["metrics"])
+    assert "painting" not in json.dumps(reported["the reference"]["metrics"])
 
 
 def test_a_missing_style_image_is_bad_input(stylized):

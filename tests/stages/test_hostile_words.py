@@ -21,11 +21,11 @@ HOSTILE = "m$\\frac$q <b>&\"'\x1b[31m\u202e"
 
 
 def outcome(**changed):
-    told = dict(
+    reported = dict(
         key="k" * 64, method="fit", fault="blur", seed=1, remedies=False, ok=True, why="", score=20.0,
         figures={"psnr": 20.0}, seconds=3.0, picture="",
     )  # fmt: skip
-    return Outcome(**{**told, **changed})
+    return Outcome(**{**reported, **changed})
 
 
 def test_labels_of_charts_are_literal():

@@ -28,16 +28,21 @@ def settings(space: SpaceWarp, **options):
     return _settings(FitConfig(**options), SCENE, space)
 
 
-def ends_in_time(asked) -> bool:
-    return sorted(asked.level_ends) == list(asked.level_ends) and asked.level_ends[-1] < asked.held_out_until
+def ends_in_time(requested) -> bool:
+    return (
+        sorted(requested.level_ends) == list(requested.level_ends)
+        and requested.level_ends[-1] < requested.held_out_until
+    )
 
 
 def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
-    asked = settings(SPACES["contraction"])
-    assert [level.resolution for level in asked.levels] == [64, 128, 192, 256, 384]
-    assert asked.levels[-1].color.resolution == asked.levels[-2].color.resolution == 256
-    assert [level.density_rank for level in asked.levels] == [8, 16, 16, 16, 8]
-    assert len(asked.level_ends) == len(asked.level_max_steps) == len(asked.levels) and ends_in_time(asked)
+    requested = settings(SPACES["contraction"])
+    assert [level.resolution for level in requested.levels] == [64, 128, 192, 256, 384]
+    assert requested.levels[-1].color.resolution == requested.levels[-2].color.resolution == 256
+    assert [level.density_rank for level in requested.levels] == [8, 16, 16, 16, 8]
+    assert len(requested.level_ends) == len(requested.level_max_steps) == len(requested.levels) and ends_in_time(
+        requested
+    )
 
 
 @pytest.mark.parametrize(
@@ -46,32 +51,36 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
 )
 def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
     scene = SimpleNamespace(**vars(SCENE) | {"cameras": [SimpleNamespace(width=20, height=pixels)]})
-    asked = _settings(FitConfig(), scene, SPACES[space])
-    assert asked.levels == (*LEVELS[:3], last) and not asked.level_max_steps
-    assert len(asked.level_ends) == len(asked.levels) and ends_in_time(asked)
+    requested = _settings(FitConfig(), scene, SPACES[space])
+    assert requested.levels == (*LEVELS[:3], last) and not requested.level_max_steps
+    assert len(requested.level_ends) == len(requested.levels) and ends_in_time(requested)
     assert LEVELS[-1].resolution == FULL.resolution and LEVELS[-1].color.resolution < FULL.color.resolution
 
 
 @pytest.mark.parametrize(("space", "level_max_steps"), [("contraction", True), ("box", False)])
 @pytest.mark.parametrize("options", [{"field": "voxel"}, {"field": "vm+hash"}, {"head": "mlp"}])
-def test_other_kinds_climb_four_rungs(space, level_max_steps, options):
-    asked = settings(SPACES[space], **options)
-    assert [level.resolution for level in asked.levels] == [64, 128, 192, 256] and asked.levels[-1] == FULL
-    assert len(asked.level_ends) == 4 and ends_in_time(asked) and bool(asked.level_max_steps) is level_max_steps
+def test_other_kinds_search_four_rungs(space, level_max_steps, options):
+    requested = settings(SPACES[space], **options)
+    assert [level.resolution for level in requested.levels] == [64, 128, 192, 256] and requested.levels[-1] == FULL
+    assert (
+        len(requested.level_ends) == 4
+        and ends_in_time(requested)
+        and bool(requested.level_max_steps) is level_max_steps
+    )
 
 
 def test_a_color_behind_a_network_has_one_width_on_every_rung():
-    asked = settings(SPACES["contraction"], head="mlp")
-    assert {level.color_rank for level in asked.levels} == {24}
+    requested = settings(SPACES["contraction"], head="mlp")
+    assert {level.color_rank for level in requested.levels} == {24}
     fixed = settings(SPACES["box"], head="mlp", capacity="fixed:128x8x16")
     assert {level.color_rank for level in fixed.levels} == {16}
 
 
 def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
-    asked = settings(SPACES["contraction"], capacity="fixed:192x8x16")
-    last = asked.levels[-1]
-    assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and asked.force_growth
-    assert len(asked.level_ends) == len(asked.levels) - 1
+    requested = settings(SPACES["contraction"], capacity="fixed:192x8x16")
+    last = requested.levels[-1]
+    assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and requested.force_growth
+    assert len(requested.level_ends) == len(requested.levels) - 1
 
 
 def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
@@ -92,24 +101,24 @@ def test_behind_a_field_stands_what_it_was_trained_over(kind):
 
 
 def test_a_boxed_object_scene_keeps_its_background_and_reports_its_ranks(tmp_path):
-    """What is made of the field later teaches with the background that is told here. Behind a small network the color
-    has one width from the first level on; six steps are enough for two levels."""
+    """What is made of the field later teaches with the background that is reported here. Behind a small network the
+    color has one width from the first level on; six steps are enough for two levels."""
     work, said = WorkFolder(tmp_path / "work"), Said()
     scene = make_capture(work, background="none")
     config = FitConfig(budget="6", space="box", capacity="fixed:72x8x24", head="mlp", samples=1000, held_out=0)
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
     field, background = load_field(made)
     assert (background, field.opaque_background) == ("none", False)
-    figures, told = made.manifest.figures, json.loads(made.file("field.json").read_text())
-    assert told["color"]["features"]["rank"] == figures["color_rank"] == 24
-    assert told["density"]["rank"] == figures["density_rank"] == 8
-    assert figures["resolution"] == 72 and max(told["density"]["size"]) == 72
+    figures, reported = made.manifest.figures, json.loads(made.file("field.json").read_text())
+    assert reported["color"]["features"]["rank"] == figures["color_rank"] == 24
+    assert reported["density"]["rank"] == figures["density_rank"] == 8
+    assert figures["resolution"] == 72 and max(reported["density"]["size"]) == 72
     assert figures["training_psnr"] == figures["curve"][-1]["psnr"] and figures["held_out_psnr"] is None
     assert figures["ended_at"] is None and not any("not reached" in line for line in said.lines)
     assert settings(SPACES["box"], capacity="fixed:72x8x24").levels[0].color_rank == 16  # as ever, without a network
 
 
-def test_what_cannot_be_reached_is_told(tmp_path):
+def test_what_cannot_be_reached_is_reported(tmp_path):
     work, said = WorkFolder(tmp_path / "work"), Said()
     config = FitConfig(budget="1", capacity="fixed:136x8x8", samples=1000, held_out=0)
     scene = make_capture(work)
@@ -131,7 +140,7 @@ OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "visual_hull": 0.1
         ("forward", "box", True, "--opacity-weight, --coverage-weight"),
     ],
 )
-def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, space, cut_out, idle):
+def test_options_of_objects_without_effect_are_reported_where_they_were_set(layout, space, cut_out, idle):
     said = Said()
     _report_idle(FitConfig(), layout, space, cut_out, Context(progress=said))
     assert said.lines == []
@@ -141,25 +150,25 @@ def test_options_of_objects_without_effect_are_told_where_they_were_set(layout, 
 
 
 def test_object_options_are_reported_and_change_nothing_on_a_capture(tmp_path):
-    """What is told to have no effect has none: the field is the same to the bit."""
+    """What is reported to have no effect has none: the field is the same to the bit."""
     work, digests = WorkFolder(tmp_path / "work"), []
     scene = make_capture(work, layout="unbounded", background="none")
     plain = FitConfig(budget="3", capacity="fixed:64x8x8", samples=1000, held_out=0)
-    for config, told in ((plain, 0), (replace(plain, **OF_OBJECTS), 1)):
+    for config, reported in ((plain, 0), (replace(plain, **OF_OBJECTS), 1)):
         said = Said()
         made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
-        assert sum("no effect" in line for line in said.lines) == told
+        assert sum("no effect" in line for line in said.lines) == reported
         digests.append({one.path: one.sha256 for one in made.manifest.files})
     assert digests[0] == digests[1] and digests[0]
 
 
-def test_a_bound_below_what_a_fit_takes_is_told():
+def test_a_bound_below_what_a_fit_takes_is_reported():
     """vm of 256^3, ranks 8 and 24: 3 * 32 * (256^2 + 256) parameters and a few of a head, 94 bytes each."""
     even = SpaceWarp.box([-1] * 3, [1] * 3)
-    for memory, told in ((950_000_000, True), (1_000_000_000, False)):
+    for memory, reported in ((950_000_000, True), (1_000_000_000, False)):
         said = Said()
         _report_memory(settings(even), even, Context(progress=said, memory=memory))
-        assert len(said.lines) == told
+        assert len(said.lines) == reported
     said = Said()
     _report_memory(settings(even), even, Context(progress=said, memory=800_000_000))
     assert "--memory 800 MB is less than a field of 256^3 takes to fit, about 964 MB" in said.lines[0]

@@ -1,4 +1,4 @@
-"""Stages whose rays go through shapes that move hand them to the device that they are told of, and say where not."""
+"""Stages whose rays go through moving shapes hand them to the device that they are given, and say where they cannot."""
 
 import numpy as np
 import pytest
@@ -39,9 +39,9 @@ class Said:
     def say(self, text: str) -> None:
         self.lines.append(text)
 
-    def start(self, *told) -> None: ...
+    def start(self, *reported) -> None: ...
 
-    def update(self, *told) -> None: ...
+    def update(self, *reported) -> None: ...
 
     def finish(self) -> None: ...
 
@@ -87,11 +87,11 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
         return figures, partial.commit()
 
     plain, on_cpu = bent("plain", None)
-    told, on_device = bent("told", "cpu" if interpreted() else "cuda")
-    assert set(seen) == {"told"} and told["steps"] == plain["steps"] == 1
-    assert "gpu_memory_mb" in told and "gpu_memory_mb" not in plain
+    reported, on_device = bent("told", "cpu" if interpreted() else "cuda")
+    assert set(seen) == {"told"} and reported["steps"] == plain["steps"] == 1
+    assert "gpu_memory_mb" in reported and "gpu_memory_mb" not in plain
     for figure in ("psnr_before", "psnr_after"):
-        assert told[figure] == pytest.approx(plain[figure], abs=2e-3)
+        assert reported[figure] == pytest.approx(plain[figure], abs=2e-3)
     fields = [load_field(made)[0] for made in (on_cpu, on_device)]
     values = [load_deformation(made).values for made in (on_cpu, on_device)]
     np.testing.assert_allclose(*(field.displacement for field in fields), atol=1e-5)

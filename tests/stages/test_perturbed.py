@@ -128,9 +128,9 @@ def others_of(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def cases_of_tensors(made: Made, file: str) -> Iterator[Case]:
     arrays, metadata = load_tensors(made.artifact.path / file)
 
-    def written(altered: dict[str, np.ndarray], told: dict[str, str]) -> bytes:
+    def written(altered: dict[str, np.ndarray], reported: dict[str, str]) -> bytes:
         parts = {n: (TYPES[a.dtype.name], list(a.shape), np.ascontiguousarray(a).tobytes()) for n, a in altered.items()}
-        return packed(parts, told)
+        return packed(parts, reported)
 
     for name, array in arrays.items():
         without = {key: one for key, one in arrays.items() if key != name}
@@ -147,8 +147,8 @@ def cases_of_tensors(made: Made, file: str) -> Iterator[Case]:
     for key, text in metadata.items():
         for path, value in leaves(json.loads(text)):
             for other in values_for(value):
-                told = metadata | {key: json.dumps(replaced(json.loads(text), path, other))}
-                yield Case(made, file, f"{key}.{path} {other}", lambda _, t=told: written(arrays, t))
+                reported = metadata | {key: json.dumps(replaced(json.loads(text), path, other))}
+                yield Case(made, file, f"{key}.{path} {other}", lambda _, t=reported: written(arrays, t))
         yield Case(made, file, f"{key} nested", lambda _, k=key: written(arrays, metadata | {k: "[" * 100_000}))
         yield Case(made, file, f"{key} missing", lambda _: written(arrays, {}))
 

@@ -76,8 +76,8 @@ def test_figures_of_weights_do_not_outlive_them(work):
     changed = recolored(work, palette_bias=("0=0.2",), name="biased")
     again = recolored(work, palette=("0=#ff00ff",), name="again", of="biased")
     for one in (changed, again):
-        told = json.loads(one.file("palette.json").read_text())
-        assert not {*TOLD} & {*one.manifest.figures, *told}
+        reported = json.loads(one.file("palette.json").read_text())
+        assert not {*TOLD} & {*one.manifest.figures, *reported}
         assert palette_rows(one, True) == [{"name": one.name}]
     box = np.float32([[0, 0, 0], [1, 1, 1]])
     module = PaletteModule.create(np.random.default_rng(0), PALETTE, box)
@@ -118,7 +118,7 @@ def test_a_change_around_a_pixel_is_placed_on_the_visible_surface(work):
         ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "shows nothing of the field"),
     ],
 )
-def test_changes_that_cannot_be_made_are_told(work, options, of, words):
+def test_changes_that_cannot_be_made_are_reported(work, options, of, words):
     with pytest.raises(BadInput, match=words):
         recolored(work, of, **options)
 
@@ -141,7 +141,7 @@ def test_options_that_mean_nothing(options, words):
         PaletteFieldConfig(**options)
 
 
-def test_options_of_both_stages_are_told_apart():
+def test_options_of_both_stages_are_reported_apart():
     config = PaletteFieldConfig(bases=5, budget="40", palette=("0=#ffffff",), view_scale=0.0, guide_weight=0.5)
     assert config.learning == DecomposeConfig(bases=5, budget="40", guide_weight=0.5)
     assert config.changes == RecolorConfig(palette=("0=#ffffff",), view_scale=0.0) and config.changes
@@ -150,7 +150,7 @@ def test_options_of_both_stages_are_told_apart():
     assert (settings.steps, settings.match, weights.guide, weights.sparsity) == (40, "none", 0.5, 2e-3)
 
 
-def test_the_palette_of_a_whole_field_is_told_by_what_learned_it(work):
+def test_the_palette_of_a_whole_field_is_reported_by_what_learned_it(work):
     new = recolored(work, palette=("0=#ff00ff",))
     assert palette_behind(new).name == "new" and palette_behind(work.get("field", "plain")) is None
     (row,) = palette_rows(new, False)

@@ -215,7 +215,7 @@ def oracle_density(density, values: torch.Tensor, x: torch.Tensor) -> torch.Tens
 def oracle_pixels(field, rays, rendered, density_values, color_values, grid=None) -> tuple[torch.Tensor, torch.Tensor]:
     """([rays, 5], warped positions [n, 3]) of the samples that the kernels chose, from values that may need gradients.
 
-    The kernels decide where samples lie and which take their ray's mean; all else is worked out anew.
+    The kernels decide where samples lie and which take their ray's mean; all else is worked out again.
     """
     packed = Packed.of(rendered.samples)
     x = torch_reference.warp(field.space, points_on(rays, packed)[0])

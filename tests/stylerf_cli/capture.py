@@ -1,4 +1,4 @@
-"""A small posed capture to be spoiled: four photos around a corner, with transforms.json, COLMAP or LLFF poses."""
+"""A small posed capture to be damaged: four photos around a corner, with transforms.json, COLMAP or LLFF poses."""
 
 import json
 from pathlib import Path

@@ -116,7 +116,7 @@ def test_other_verbs_get_their_own_table_only(tmp_path):
         ("seed = -1", "seed is -1; expected 0 to"),
     ],
 )
-def test_faults_of_a_file_are_told_with_its_name(tmp_path, text, words):
+def test_faults_of_a_file_are_reported_with_its_name(tmp_path, text, words):
     with pytest.raises(UsageError, match=r"o\.toml") as caught:
         options = parse([], toml=text, tmp_path=tmp_path)
         options.common()

@@ -22,7 +22,7 @@ NAN, INF = math.nan, math.inf
 pytestmark = pytest.mark.filterwarnings("error")
 
 
-def told(capsys, *arguments, code: int = 3) -> str:
+def reported(capsys, *arguments, code: int = 3) -> str:
     """The one line on stderr of a command that must end with `code`."""
     assert main([*map(str, arguments), "--quiet"]) == code, capsys.readouterr().err
     err = capsys.readouterr().err
@@ -33,7 +33,7 @@ def told(capsys, *arguments, code: int = 3) -> str:
 def refused(folder: Path, capsys, *options) -> str:
     """What the import of `folder` is refused with."""
     work = folder.parent / "work"
-    line = told(capsys, "import", folder, work, *options)
+    line = reported(capsys, "import", folder, work, *options)
     assert [item.name for item in work.glob("scene/*") if item.name != ".main.lock"] == []
     return line
 
@@ -59,7 +59,7 @@ def test_a_second_scene_in_a_work_folder_is_refused(posed, tmp_path, capsys):
         return ["import", posed, tmp_path / "work", *name]
 
     assert main([*map(str, imported("--name", "den")), "--quiet"]) == 0
-    assert "already holds scene den" in told(capsys, *imported(), code=2)
+    assert "already holds scene den" in reported(capsys, *imported(), code=2)
     assert main([*map(str, imported("--name", "den", "--downscale", "2")), "--quiet"]) == 0
     assert [item.name for item in (tmp_path / "work/scene").glob("[!.]*")] == ["den"]
 
@@ -91,13 +91,13 @@ def test_one_photo(source, capsys):
 
 def test_photos_of_which_too_few_are_left_to_train_on(posed, capsys):
     """Of two photos the first is kept for tests."""
-    assert "leaves no photo to train on" in told(capsys, "import", posed, posed.parent, "--test-every", "1", code=2)
+    assert "leaves no photo to train on" in reported(capsys, "import", posed, posed.parent, "--test-every", "1", code=2)
     content = capture.transforms()
     capture.write_transforms(posed, {**content, "frames": content["frames"][:2]})
     work = posed.parent / "work"
     assert main(["import", str(posed), str(work), "--quiet"]) == 0
     capsys.readouterr()
-    line = told(capsys, "fit", work)
+    line = reported(capsys, "fit", work)
     assert "of 2 views 1 is to train on" in line and "--test-every 0" in line and not (work / "field" / "fit").exists()
 
 
@@ -211,7 +211,7 @@ def test_photos_of_one_stem_are_views_of_two_names(source, tmp_path, kind):
 # -- poses and lenses --------------------------------------------------------------------------------------------------
 
 
-def spoiled_pose(change) -> dict:
+def damaged_pose(change) -> dict:
     content = capture.transforms()
     pose = np.array(content["frames"][2]["transform_matrix"])
     content["frames"][2]["transform_matrix"] = change(pose)
@@ -239,7 +239,7 @@ POSES = {
 @pytest.mark.parametrize("name", POSES)
 def test_poses_that_are_none(source, capsys, name):
     change, words = POSES[name]
-    capture.write_transforms(source, spoiled_pose(change))
+    capture.write_transforms(source, damaged_pose(change))
     line = refused(source, capsys)
     assert words in line and ("p02" in line or "frame 2" in line)
 

@@ -55,8 +55,8 @@ def test_words_and_another_place(work, tmp_path, capsys):
 def test_a_folder_written_in_two_ways_is_compared_once(work, monkeypatch, capsys):
     monkeypatch.chdir(work.root.parent)
     assert main(["compare", "room", str(work.root), "room/../room", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["works"] == ["room"] and len(told["runs"]) == 3
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["works"] == ["room"] and len(reported["runs"]) == 3
 
 
 def test_what_is_no_work_folder_is_refused(work, tmp_path, capsys):

@@ -50,15 +50,15 @@ def render(work, field, path, /, shift=0.0, name="", revision=SPEC.revision, **c
 @pytest.fixture
 def renderer(monkeypatch):
     """Stands in for the chain that renders what is missing; remembers what it was asked for."""
-    asked = []
+    requested = []
 
     def ensure_frames(runner, field, path, name):
-        asked.append((field.name, path))
+        requested.append((field.name, path))
         digest = pinned(RenderConfig(path=path)).path_digest
         return render(runner.work, field, path, name=name, path_digest=digest)
 
     monkeypatch.setattr(evaluation, "ensure_frames", ensure_frames)
-    return asked
+    return requested
 
 
 def result(capsys, *arguments):
@@ -66,7 +66,7 @@ def result(capsys, *arguments):
     return json.loads(capsys.readouterr().out)
 
 
-def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
+def test_frames_that_stand_are_measured_and_reported(work, renderer, capsys):
     assert main(["eval", str(work.root), *FAST]) == 0
     words = capsys.readouterr().out
     assert "wall on wall, 2 held-out views" in words and "PSNR" in words and "report.html" in words
@@ -75,15 +75,15 @@ def test_frames_that_stand_are_measured_and_told(work, renderer, capsys):
     assert "short_rmse" not in found["figures"]
 
 
-def test_other_networks_measure_anew(work, renderer, capsys, monkeypatch):
-    asked = []
+def test_other_networks_measure_again(work, renderer, capsys, monkeypatch):
+    requested = []
     monkeypatch.setattr(
-        "stages.evaluate.available_networks", lambda *given: asked.append(given) or f"n{len(asked)}"
+        "stages.evaluate.available_networks", lambda *given: requested.append(given) or f"n{len(requested)}"
     )
     for number in (1, 2):
         result(capsys, work.root)
         assert work.get("report", "wall").manifest.config["networks"] == f"n{number}"
-    assert asked == [(False, False, "")] * 2
+    assert requested == [(False, False, "")] * 2
 
 
 def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):
@@ -154,8 +154,8 @@ def test_damaged_frames_are_passed_over_and_said_once(work, renderer, capsys, fi
     for one in damaged:
         (one.path / file).write_text("{")
     assert main(["eval", str(work.root), "--of", "wall", *FAST[:-1]]) == 0
-    told = capsys.readouterr().err
-    assert [told.count(f"skipping frames {one.name}: ") for one in damaged] == [1, 1]
+    reported = capsys.readouterr().err
+    assert [reported.count(f"skipping frames {one.name}: ") for one in damaged] == [1, 1]
     # In the place of those that are to be made, it may be of a newer stylerf: not replaced unasked.
     assert main(["eval", str(work.root), "--of", "wall", *FAST[:-1], "--path", "orbit"]) == 4
     assert "wall-orbit" in capsys.readouterr().err and renderer == []
@@ -209,25 +209,27 @@ def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
         (("--robust-to", "red"), 2, "need a stylized field"),
     ],
 )
-def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(work, renderer, capsys, options, code, told):
+def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(
+    work, renderer, capsys, options, code, reported
+):
     (work.get("frames", "wall-test").path / "manifest.json").unlink()
     assert main(["eval", str(work.root), *options, *FAST]) == code
     err = capsys.readouterr().err
-    assert told in err and err.count("\n") == 1 and renderer == []
+    assert reported in err and err.count("\n") == 1 and renderer == []
 
 
 def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer, capsys, tmp_path):
     made.make_field(work, "red", "stylize", {"field": work.get("field", "wall")})
     write_png(tmp_path / "red.png", np.zeros((72, 96, 3), np.uint8))
-    asked = [str(work.root), "--of", "red", *FAST, "--reference"]
-    for reference, code, told in (
+    requested = [str(work.root), "--of", "red", *FAST, "--reference"]
+    for reference, code, reported in (
         (f"2={tmp_path}/red.png", 3, "--reference: there is no view '2'; the scene's 2 views are photo_00, photo_01"),
         ("1=/nowhere.png", 3, "no file /nowhere.png"),
         ("photo_01", 2, "written VIEW=FILE"),
     ):
-        assert main(["eval", *asked, reference]) == code
-        assert told in capsys.readouterr().err and renderer == []
-    assert main(["eval", *asked, f"#1={tmp_path}/red.png"]) == 0
+        assert main(["eval", *requested, reference]) == code
+        assert reported in capsys.readouterr().err and renderer == []
+    assert main(["eval", *requested, f"#1={tmp_path}/red.png"]) == 0
 
 
 def test_a_stylized_field_is_set_against_the_fit_it_came_from(work, renderer, capsys):

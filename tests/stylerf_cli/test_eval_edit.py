@@ -111,11 +111,11 @@ def test_another_base_may_be_named(work, edited, masks, renderer, capsys):
         (("--of", "blue", "--masks", "/nowhere"), 3, "--masks /nowhere"),
     ],
 )
-def test_what_makes_no_sense_is_one_line(work, edited, renderer, capsys, options, code, told):
+def test_what_makes_no_sense_is_one_line(work, edited, renderer, capsys, options, code, reported):
     of = () if "--of" in options else ("--of", "wall")
     assert main(["eval", str(work.root), *of, *options, *FAST]) == code
     err = capsys.readouterr().err
-    assert told in err and err.count("\n") == 1
+    assert reported in err and err.count("\n") == 1
 
 
 def test_photos_of_an_edit_of_an_edit_are_those_of_the_original_scene(work, edited):

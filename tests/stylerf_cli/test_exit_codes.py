@@ -17,7 +17,7 @@ from stylerf_cli.main import main
 pytestmark = pytest.mark.filterwarnings("error")
 
 
-def told(capsys, code: int, *arguments) -> str:
+def reported(capsys, code: int, *arguments) -> str:
     """The one line on stderr of a command that must end with `code`."""
     assert main([*map(str, arguments), "--quiet"]) == code, capsys.readouterr().err
     err = capsys.readouterr().err
@@ -41,9 +41,9 @@ def paintings(tmp_path):
     (tmp_path / "cut.png").write_bytes((tmp_path / "sound.png").read_bytes()[:6000])
     assert oiio.ImageBuf(sound).write(str(tmp_path / "whole.jpg"))
     (tmp_path / "cut.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:1500])
-    spoiled = np.ones((32, 32, 3), np.float32)
-    spoiled[3, 4] = math.nan
-    assert oiio.ImageBuf(spoiled).write(str(tmp_path / "nan.exr"), "half")
+    damaged = np.ones((32, 32, 3), np.float32)
+    damaged[3, 4] = math.nan
+    assert oiio.ImageBuf(damaged).write(str(tmp_path / "nan.exr"), "half")
     return tmp_path
 
 
@@ -62,7 +62,7 @@ def paintings(tmp_path):
 )
 def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, name, words):
     """The work folder does not even exist: hours of fitting must not come first."""
-    line = told(capsys, 3, "stylize", paintings / "work", "--style", paintings / name)
+    line = reported(capsys, 3, "stylize", paintings / "work", "--style", paintings / name)
     assert words in line and name in line
     assert not (paintings / "work").exists()
 
@@ -80,7 +80,7 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
     ],
 )  # fmt: skip
 def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, words):
-    assert words in told(capsys, 2, "stylize", paintings / "work", "--style", paintings / "sound.png", *flags)
+    assert words in reported(capsys, 2, "stylize", paintings / "work", "--style", paintings / "sound.png", *flags)
     assert not (paintings / "work").exists()
 
 
@@ -109,7 +109,7 @@ def test_settings_of_a_stylization_that_mean_nothing(paintings, capsys, flags, w
 )
 def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch, flags, words):
     monkeypatch.chdir(paintings)
-    assert words in told(capsys, 2, "stylize", paintings / "work", *flags)
+    assert words in reported(capsys, 2, "stylize", paintings / "work", *flags)
     assert not (paintings / "work").exists()
 
 
@@ -131,7 +131,7 @@ def test_references_that_are_none(work, paintings, capsys, reference, words):
     views = json.loads((work / "scene/main/scene.json").read_text())["views"]
     held_out = next(view["name"] for view in views if view["split"] == "test")
     text = reference.format(paintings).replace("held out", held_out)
-    assert words in told(capsys, 3, "stylize", work, "--method", "refnpr", "--reference", text, "--name", "new")
+    assert words in reported(capsys, 3, "stylize", work, "--method", "refnpr", "--reference", text, "--name", "new")
     assert not (work / "field/new").exists()
 
 
@@ -139,11 +139,11 @@ def test_a_feed_forward_reference_without_its_weights_is_refused_in_a_line(work,
     monkeypatch.delenv("STYLERF_WEIGHTS", raising=False)
     monkeypatch.setenv("STYLERF_CACHE", str(tmp_path))
     command = ("stylize", work, "--style", photos / "painting.png", "--method", "refnpr", "--reference-by", "adain")
-    assert "vgg19_decoder_conv3_1.pth" in told(capsys, 2, *command)
+    assert "vgg19_decoder_conv3_1.pth" in reported(capsys, 2, *command)
 
 
 def test_a_sound_painting_gets_past_that(paintings, capsys):
-    assert "stylerf import" in told(capsys, 4, "stylize", paintings / "work", "--style", paintings / "sound.png")
+    assert "stylerf import" in reported(capsys, 4, "stylize", paintings / "work", "--style", paintings / "sound.png")
 
 
 def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
@@ -152,11 +152,11 @@ def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
         ("cut.png", "cannot be read whole"),
         ("text.png", "not a readable"),
     ):
-        line = told(capsys, 3, "eval", work, "--of", "fit", "--style", paintings / name, "--perceptual", "none")
+        line = reported(capsys, 3, "eval", work, "--of", "fit", "--style", paintings / name, "--perceptual", "none")
         assert words in line and name in line
 
 
-def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, capsys):
+def test_a_painting_that_has_changed_is_measured_against_again(work, paintings, capsys):
     command = ["eval", str(work), "--of", "fit", "--style", str(paintings / "sound.png"), "--perceptual", "none"]
     palettes = []
     for spoil in (False, True, False):
@@ -174,7 +174,7 @@ def test_a_painting_that_has_changed_is_measured_against_anew(work, paintings, c
     "flags", [("--box", "0", "0", "0", "1", "1", "1"), ("--at", "0:1,1", "--tolerance", "0"), ("--color", "#102030")]
 )
 def test_pixels_to_avoid_where_nothing_grows_by_color(tmp_path, capsys, flags):
-    line = told(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
+    line = reported(capsys, 2, "select", tmp_path / "work", *flags, "--avoid", "0:9,9")
     assert "--avoid limits growth from --at or --scribble" in line
 
 
@@ -213,7 +213,7 @@ PATHS = {
 def test_camera_files_that_are_none(work, tmp_path, capsys, recwarn, name):
     text, words = PATHS[name]
     (tmp_path / "cameras.json").write_text(text)
-    line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json")
+    line = reported(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json")
     assert not [one for one in recwarn if issubclass(one.category, RuntimeWarning)]  # numpy's would be further lines
     assert words in line and "cameras.json" in line
     assert not (work / "frames" / "fit-cameras").exists()
@@ -224,17 +224,17 @@ def test_a_film_that_cannot_be_is_refused_before_any_frame_is_rendered(work, cap
     pytest.importorskip("av", reason="the extra `video` is not installed")
     monkeypatch.setattr(render, "render_view", None)
     code, words = (2, "fps in [1/1001, 240]") if "--fps" in flags else (3, "--video: PyAV cannot encode")
-    assert words in told(capsys, code, "render", work, "--of", "fit", "--count", "2", "--video", *flags)
+    assert words in reported(capsys, code, "render", work, "--of", "fit", "--count", "2", "--video", *flags)
 
 
 def test_a_film_of_frames_of_several_sizes_is_refused_before_any_is_rendered(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(render, "render_view", None)
     (tmp_path / "cameras.json").write_text(json.dumps([SOUND, SOUND | {"width": 24}, SOUND | {"width": 20}]))
-    line = told(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json", "--video")
+    line = reported(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json", "--video")
     assert "--video" in line and "16x16 and 24x16" in line
 
 
-def test_a_sound_camera_file_is_followed_and_followed_anew_when_it_changes(work, tmp_path, capsys):
+def test_a_sound_camera_file_is_followed_and_followed_again_when_it_changes(work, tmp_path, capsys):
     (tmp_path / "cameras.json").write_text(json.dumps([SOUND]))
     command = ["render", str(work), "--of", "fit", "--path", str(tmp_path / "cameras.json"), "--json", "--quiet"]
     frames = []
@@ -257,7 +257,7 @@ def test_frames_of_a_camera_file_are_named_after_it_whatever_it_is_called(work, 
 def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
     for command in (("stylize", "--recolor"), ("extract",)):
         verb, *flags = command
-        assert "no region" in told(capsys, 4, verb, tmp_path / "work", "--region", "", *flags)
+        assert "no region" in reported(capsys, 4, verb, tmp_path / "work", "--region", "", *flags)
 
 
 # -- names -------------------------------------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ def test_an_empty_region_is_the_only_one_as_for_other_verbs(tmp_path, capsys):
 def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name):
     for command in (("fit",), ("stylize", "--style", paintings / "sound.png"), ("edit", "--recolor", "--at", "0:1,1")):
         verb, *flags = command
-        assert "is not a valid name" in told(capsys, 2, verb, paintings / "work", *flags, "--name", name)
+        assert "is not a valid name" in reported(capsys, 2, verb, paintings / "work", *flags, "--name", name)
 
 
 # -- option files ------------------------------------------------------------------------------------------------------
@@ -291,7 +291,7 @@ def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name)
 )
 def test_option_files_that_are_none(tmp_path, capsys, text, words):
     (tmp_path / "options.toml").write_text(text)
-    line = told(capsys, 2, "fit", tmp_path / "work", "--config", tmp_path / "options.toml")
+    line = reported(capsys, 2, "fit", tmp_path / "work", "--config", tmp_path / "options.toml")
     assert words in line and "options.toml" in line
     assert not (tmp_path / "work").exists()
 
@@ -323,7 +323,7 @@ def test_a_flipped_byte_in_what_a_stage_reads_stops_it(work, photos, capsys, ver
     data = bytearray(victim.read_bytes())
     data[len(data) // 2] ^= 1
     victim.write_bytes(data)
-    line = told(capsys, 4, *arguments_for(verb, work, photos))
+    line = reported(capsys, 4, *arguments_for(verb, work, photos))
     assert victim.name in line and place.split("/")[1] in line
     assert not list(work.glob("*/new"))
 
@@ -331,7 +331,7 @@ def test_a_flipped_byte_in_what_a_stage_reads_stops_it(work, photos, capsys, ver
 @pytest.mark.parametrize(("verb", "place"), VERBS)
 def test_an_artifact_of_a_newer_version_stops_a_stage(work, photos, capsys, verb, place):
     reseal(work / place, schema=99)
-    line = told(capsys, 4, *arguments_for(verb, work, photos))
+    line = reported(capsys, 4, *arguments_for(verb, work, photos))
     assert "newer stylerf" in line
     assert not list(work.glob("*/new"))
 
@@ -347,7 +347,7 @@ def reseal(folder, **changes) -> None:
 
 def test_a_stage_without_its_input_names_the_command_that_makes_it(tmp_path, capsys):
     for verb in ("fit", "deform"):
-        assert "stylerf import" in told(capsys, 4, verb, tmp_path / "work")
+        assert "stylerf import" in reported(capsys, 4, verb, tmp_path / "work")
     for verb in ("render", "eval"):
-        assert "stylerf fit" in told(capsys, 4, verb, tmp_path / "work")
+        assert "stylerf fit" in reported(capsys, 4, verb, tmp_path / "work")
     assert not (tmp_path / "work").exists()

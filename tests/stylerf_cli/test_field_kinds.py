@@ -52,7 +52,7 @@ def middle_of(work: Path) -> str:
     return f"{scene.views[view].name}:{column + 9},{row + 9}"
 
 
-def test_a_hash_field_is_fitted_told_about_and_rendered(photos, tmp_path, capsys):
+def test_a_hash_field_is_fitted_reported_about_and_rendered(photos, tmp_path, capsys):
     work = tmp_path / "work"
     result = fitted(capsys, photos, work, "hash", "linear", 40)
     assert result["figures"]["kinds"] == ["hash", "hash", "linear"] and result["figures"]["density_rank"] is None

@@ -24,7 +24,7 @@ def test_without_held_out_views_the_figure_is_that_of_training_views(work, capsy
     assert "held-out views:" not in words and "held out," not in notes
 
 
-def test_with_held_out_views_both_figures_are_told_apart(work, capsys):
+def test_with_held_out_views_both_figures_are_reported_apart(work, capsys):
     figures, words, _ = fitted(work, capsys, "--held-out", "2", "--budget", "30")
     kept = [point["psnr"] for point in figures["curve"] if point["held_out"]]
     trained = [point["psnr"] for point in figures["curve"] if not point["held_out"]]
@@ -33,17 +33,17 @@ def test_with_held_out_views_both_figures_are_told_apart(work, capsys):
     assert f"held-out views: {kept[-1]:.2f} dB (2 training views held out)" in words
 
 
-def test_what_is_rendered_after_a_fit_is_told_before(work, capsys):
+def test_what_is_rendered_after_a_fit_is_reported_before(work, capsys):
     options = ["fit", str(work), *(flag for flag in FIT if flag != "--no-buffers")]
     assert main(options) == 0
-    told = "rendering 12 views of 32x32 to EXR and PNG, about 0 MB; --no-buffers skips this"
-    assert told in capsys.readouterr().err
+    reported = "rendering 12 views of 32x32 to EXR and PNG, about 0 MB; --no-buffers skips this"
+    assert reported in capsys.readouterr().err
     assert main(options) == 0
     assert "rendering" not in capsys.readouterr().err
 
 
 def test_a_scene_of_few_views_holds_none_out(photos, tmp_path, capsys):
-    """Eight training views: too few to spare one. No figure is told as of views held out."""
+    """Eight training views: too few to spare one. No figure is reported as of views held out."""
     shutil.copytree(photos, tmp_path / "few")
     listed = json.loads((photos / "transforms_train.json").read_text())
     (tmp_path / "few" / "transforms_train.json").write_text(json.dumps({**listed, "frames": listed["frames"][:8]}))

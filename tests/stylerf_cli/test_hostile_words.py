@@ -29,8 +29,8 @@ def test_lines_on_stdout(capsys):
 
 def test_faults_and_progress_on_stderr(capsys):
     output.write_fault(f"stylerf: error: {HOSTILE.replace(chr(10), ' ')}")
-    told = capsys.readouterr().err
-    assert "\x1b" not in told and "\u202e" not in told and "\r" not in told
+    reported = capsys.readouterr().err
+    assert "\x1b" not in reported and "\u202e" not in reported and "\r" not in reported
     stream = io.StringIO()
     Bars(stream).say(HOSTILE)
     assert stream.getvalue() == ESCAPED + "\n"
@@ -46,14 +46,14 @@ def test_faults_and_progress_on_stderr(capsys):
 
 def test_json_is_ascii(capsys):
     output.print_json({"name": HOSTILE})
-    told = capsys.readouterr().out
-    assert told.isascii() and told.count("\n") == 1 and json.loads(told)["name"] == HOSTILE
+    reported = capsys.readouterr().out
+    assert reported.isascii() and reported.count("\n") == 1 and json.loads(reported)["name"] == HOSTILE
 
 
 def test_a_usage_fault_shows_what_was_typed_escaped(capsys):
     assert main([f"sh{HOSTILE}"]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and "\x1b" not in told and "\u202e" not in told
+    reported = capsys.readouterr().err
+    assert reported.count("\n") == 1 and "\x1b" not in reported and "\u202e" not in reported
 
 
 @pytest.mark.parametrize("folder", ["a\x1b[2Jb", "line\nfield fox: sound", "turned\u202egnp", b"caf\xe9"])
@@ -164,7 +164,7 @@ def test_what_is_no_regular_file_has_no_digest(tmp_path, name):
     assert code == 3 and name in line and not list(tmp_path.glob("*.log"))
 
 
-def test_a_path_of_an_unknown_user_is_told(tmp_path):
+def test_a_path_of_an_unknown_user_is_reported(tmp_path):
     with pytest.raises(RuntimeError) as caught:
         Path("~nobody-is-called-so/x").expanduser()
     assert exit_codes.code_and_line(caught.value, ["eval", "w"], tmp_path)[0] == 3

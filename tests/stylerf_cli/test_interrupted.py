@@ -47,12 +47,12 @@ def interrupted(nursery, stage, work, moment):
     Where other jobs keep the machine busy the processor time counts; one that hangs is given up after a minute.
     """
     command = stopped(nursery, stage, work, "stopped", signal.SIGINT, moment)
-    asked, begun = time.monotonic(), command.cpu_seconds()
+    requested, begun = time.monotonic(), command.cpu_seconds()
     used = begun
-    while command.poll(FOLLOWED_EVERY_SECONDS) is None and time.monotonic() - asked < 60:
+    while command.poll(FOLLOWED_EVERY_SECONDS) is None and time.monotonic() - requested < 60:
         used = max(used, command.cpu_seconds())
     command.wait(0)
-    wall = time.monotonic() - asked
+    wall = time.monotonic() - requested
     return command, wall if os.getloadavg()[0] < 2 * (os.cpu_count() or 1) else used - begun
 
 

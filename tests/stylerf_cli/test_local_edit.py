@@ -153,8 +153,8 @@ def test_other_palette_changes_need_no_training(edited, capsys):
 
 
 def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way(edited, capsys):
-    asked = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
-    made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *asked, *QUICK)
+    requested = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
+    made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *requested, *QUICK)
     assert made["figures"]["learned"] == "ball-learned" and not (edited / "edit" / "tint-learned").exists()
     colors = json.loads((Path(made["edit"]) / "palette.json").read_text())["colors"]
     rgb = [[int(one["now"][i : i + 2], 16) for i in (1, 3, 5)] for one in colors]
@@ -165,11 +165,11 @@ def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way
 
 
 def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, capsys, tmp_path):
-    work, asked = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
+    work, requested = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
     shutil.copytree(edited, work)
     shutil.rmtree(work / "edit")
-    learned = said(capsys, "stylize", work, *asked)
-    changed = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0")
+    learned = said(capsys, "stylize", work, *requested)
+    changed = said(capsys, "stylize", work, *requested, "--palette", "0=#2030f0")
     assert (learned["name"], changed["name"]) == ("ball-recolor", "ball-recolor-changed")
     assert changed["figures"]["learned"] == "ball-recolor"
     edits = [one.name for one in WorkFolder(work).artifacts("edit")]
@@ -177,9 +177,9 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
 
 
 def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edited, capsys, tmp_path, monkeypatch):
-    work, asked = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
+    work, requested = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
     shutil.copytree(edited, work)
-    said(capsys, "stylize", work, *asked, "--name", "vase")
+    said(capsys, "stylize", work, *requested, "--name", "vase")
     looked_at = WorkFolder(work).get("edit", "vase")
     before, files = looked_at.manifest, {one.path: one.sha256 for one in looked_at.manifest.files}
 
@@ -188,11 +188,11 @@ def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edit
 
     with monkeypatch.context() as patch:
         patch.setattr(edit_learn, "run", never)
-        refused(capsys, "stylize", work, *asked, "--palette", "9=#000000", "--name", "vase")
+        refused(capsys, "stylize", work, *requested, "--palette", "9=#000000", "--name", "vase")
         assert WorkFolder(work).get("edit", "vase").digest == looked_at.digest  # a slip loses nothing
-        named = said(capsys, "stylize", work, *asked, "--palette", "0=#2030f0", "--name", "vase")
+        named = said(capsys, "stylize", work, *requested, "--palette", "0=#2030f0", "--name", "vase")
         stages = [WorkFolder(work).get("edit", "vase").manifest.stage]
-        back = said(capsys, "stylize", work, *asked, "--name", "vase")
+        back = said(capsys, "stylize", work, *requested, "--name", "vase")
     again = WorkFolder(work).get("edit", "vase")
     again.verify()
     assert back["name"] == "vase" and {one.path: one.sha256 for one in again.manifest.files} == files
@@ -320,15 +320,15 @@ def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(edi
 
 def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
     painting = edited / "photos" / "painting.png"
-    told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, "--method", "refnpr", "--match",
-                   "both")  # fmt: skip
-    assert "--match both maps every pixel" in told
-    told = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
+    options = "--region", "ball", "--style", painting, "--method", "refnpr", "--match", "both"
+    reported = refused(capsys, "stylize", edited, *options)
+    assert "--match both maps every pixel" in reported
+    reported = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
                    "refnpr")  # fmt: skip
-    assert "--of ball: region ball was selected in field fit; select it again" in told
+    assert "--of ball: region ball was selected in field fit; select it again" in reported
     for method in (("--method", "arf"), ("--method=palettenerf",)):
-        told = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, *method)
-        assert "stylizes whole scenes; with --region, use --method refnpr" in told
+        reported = refused(capsys, "stylize", edited, "--region", "ball", "--style", painting, *method)
+        assert "stylizes whole scenes; with --region, use --method refnpr" in reported
 
 
 def test_an_edit_of_a_stylized_field_is_taught_by_what_that_field_shows(edited, middle, capsys):
@@ -456,7 +456,7 @@ def test_a_scribble_of_another_size_or_of_nothing_is_refused(edited, middle, cap
     )
 
 
-def test_seeds_that_meet_nothing_are_refused_or_told(edited, middle, capsys, tmp_path):
+def test_seeds_that_meet_nothing_are_refused_or_reported(edited, middle, capsys, tmp_path):
     scene, first = load_scene(photos_of(WorkFolder(edited))), middle.partition(":")[0]
     empty = ~binary_dilation(scene.images(scene.splits["train"][0])[..., 3] > 0, iterations=3)
     row, column = np.argwhere(empty)[0]
@@ -503,8 +503,8 @@ def test_learning_distilling_and_tuning_run_on_a_gpus_kernels(edited, capsys, mo
         WorkFolder(edited),
         ["--palette-steps", "3", "--pruned-steps", "2", "--colors", "4", "--max-colors", "3"],
     )
-    asked = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
-    said(capsys, "stylize", edited, *asked, *small)
+    requested = ["--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "there"]
+    said(capsys, "stylize", edited, *requested, *small)
     figures = [work.get("edit", "there-learned").manifest.figures]
     figures.append(said(capsys, "distill", edited, "--edit", "there")["figures"])
     tuning = ["--colors", "field", "--budget", "2", "--rays", "64"]

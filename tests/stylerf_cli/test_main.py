@@ -208,7 +208,7 @@ def test_a_fault_keeps_its_exit_code_though_nobody_reads_it(tmp_path):
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_work_folder_whose_name_is_no_text_is_told_by_escapes(tmp_path, as_json):
+def test_a_work_folder_whose_name_is_no_text_is_reported_by_escapes(tmp_path, as_json):
     work = os.fsencode(tmp_path) + b"/caf\xe9"
     assert main(["toy", str(tmp_path / "cafe"), "--quiet"]) == 0
     os.rename(tmp_path / "cafe", work)
@@ -237,10 +237,10 @@ def test_ctrl_c_and_termination_end_with_130_and_the_same_command_resumes(tmp_pa
     deadline = time.monotonic() + 20
     while not list(tmp_path.rglob("state.safetensors")) and time.monotonic() < deadline:
         time.sleep(0.02)
-    asked = time.monotonic()
+    requested = time.monotonic()
     child.send_signal(number)
     out, err = child.communicate(timeout=10)
-    assert time.monotonic() - asked < 5
+    assert time.monotonic() - requested < 5
     assert (child.returncode, out) == (130, "")
     assert err.splitlines()[-1] == (
         f"stylerf: error: interrupted; rerun to resume: stylerf {' '.join(arguments)}"

@@ -71,16 +71,16 @@ def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
 
 def test_all_stages_of_a_demo_are_its_own(demo, capsys, monkeypatch, tmp_path):
     """What makes them is replaced: --force reaches every one, --only forbids none, names are their own."""
-    asked = []
+    requested = []
 
     def execute(spec, run, work, name, inputs, config, context, force=False, protect=False):
-        asked.append((spec.verb, force))
+        requested.append((spec.verb, force))
         return work.get(spec.writes, name), True
 
     monkeypatch.setattr("stages.pipeline.stage_runner.execute", execute)
     said(capsys, "demo", str(demo), *DEMO, "--force")
-    assert {verb for verb, _ in asked} == {"import", "fit", "deform", "stylize", "render", "eval"}
-    assert all(force for _, force in asked)
+    assert {verb for verb, _ in requested} == {"import", "fit", "deform", "stylize", "render", "eval"}
+    assert all(force for _, force in requested)
     assert main(["demo", str(tmp_path / "new"), "--name", "mine", "--quiet"]) == 2
     assert "names its own artifacts" in capsys.readouterr().err and not (tmp_path / "new").exists()
 

@@ -35,7 +35,7 @@ KEYS = ("w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "p2", "is_fisheye", "camera_
 FRAME_KEYS = ("file_path", "transform_matrix", "mask_path", "w", "fl_x", "k2")
 
 
-def spoiled_everywhere() -> Iterator[tuple[str, object]]:
+def damaged_everywhere() -> Iterator[tuple[str, object]]:
     """What was done, and the content."""
     for value in NASTY:
         for key in KEYS:
@@ -52,7 +52,7 @@ def spoiled_everywhere() -> Iterator[tuple[str, object]]:
 def test_whatever_stands_in_transforms_json_there_is_no_crash(source, tmp_path, capsys):
     """Taken as it is, or refused in words: an unexpected exception would end with exit code 1."""
     refused, crashed = 0, []
-    for number, (name, content) in enumerate(spoiled_everywhere()):
+    for number, (name, content) in enumerate(damaged_everywhere()):
         capture.write_transforms(source, content)
         code = main(["import", str(source), str(tmp_path / f"{number}"), "--quiet", "--format", "transforms"])
         err = capsys.readouterr().err

@@ -39,10 +39,10 @@ def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
     assert learned["name"] == "palette" and learned["figures"]["colors"] == 4
     entries = json.loads((Path(learned["field"]) / "palette.json").read_text())["colors"]
     assert [one["share"] for one in entries] == sorted((one["share"] for one in entries), reverse=True)
-    asked = ("--method", "palettenerf", "--palette", "0=#10e020")
-    everywhere = said(capsys, "stylize", work, "--of", "palette", *asked, "--name", "green")
+    requested = ("--method", "palettenerf", "--palette", "0=#10e020")
+    everywhere = said(capsys, "stylize", work, "--of", "palette", *requested, "--name", "green")
     here = said(
-        capsys, "stylize", work, "--of", "palette", *asked, "--at", "#0:16,16", "--reach", "0.2", "--name", "here"
+        capsys, "stylize", work, "--of", "palette", *requested, "--at", "#0:16,16", "--reach", "0.2", "--name", "here"
     )
     assert everywhere["seconds"] < 20 and here["figures"]["learned"] == "palette"
     plain, green, local = (pictures(capsys, work, name) for name in ("palette", "green", "here"))
@@ -53,7 +53,7 @@ def test_a_palette_is_learned_once_and_changed_without_learning(work, capsys):
     assert report["figures"]["sparsity"] == learned["figures"]["sparsity"] and report["figures"]["psnr"] > 5
     assert "pixels that show the scene" in report["protocols"]["sparsity"]
     assert "already has a palette" in refused(capsys, 2, "stylize", work, "--of", "green", "--method", "palettenerf")
-    assert "options for learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *asked, "--bases", "5")
+    assert "options for learning" in refused(capsys, 2, "stylize", work, "--of", "palette", *requested, "--bases", "5")
     densities = [load_field(WorkFolder(work).get("field", name))[0].density.values for name in ("fit", "green")]
     assert np.array_equal(*densities)
 

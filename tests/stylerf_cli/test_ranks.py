@@ -48,8 +48,10 @@ def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(sc
     assert list(saved.glob("0*.safetensors")), (tmp_path / "err0").read_text()
     processes[1].send_signal(signal.SIGKILL)
     assert ended(processes, 60) == [5, -signal.SIGKILL]
-    told = (tmp_path / "err0").read_text().splitlines()
-    assert len(told) == 1 and told[0].startswith("stylerf: error: another process of this run has ended;"), told
+    reported = (tmp_path / "err0").read_text().splitlines()
+    assert len(reported) == 1 and reported[0].startswith("stylerf: error: another process of this run has ended;"), (
+        reported
+    )
     assert (
         list(saved.glob("0*.safetensors"))
         and not (scene / "field/fit").exists()
@@ -59,32 +61,34 @@ def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(sc
 
 @pytest.mark.slow
 def test_what_stands_is_not_made_again_and_every_process_knows(scene, tmp_path):
-    for told in ("30 steps", "is up to date"):
+    for reported in ("30 steps", "is up to date"):
         processes = start(2, *command(scene, 30), folder=tmp_path)
         assert ended(processes, 200) == [0, 0]
         said = (tmp_path / "out0").read_text() + (tmp_path / "err0").read_text()
-        assert told in said and (tmp_path / "err1").read_text() == ""
+        assert reported in said and (tmp_path / "err1").read_text() == ""
 
 
 @pytest.mark.slow
-def test_a_fault_of_a_process_that_is_silent_is_told_by_the_first(scene, tmp_path, monkeypatch):
+def test_a_fault_of_a_process_that_is_silent_is_reported_by_the_first(scene, tmp_path, monkeypatch):
     """The second finds no scene, as on a machine that does not share the work folder."""
     (tmp_path / "elsewhere").mkdir()
     first = ("tests.stylerf_cli.elsewhere", *command(scene, 100_000, "--quiet")[1:])
     monkeypatch.setenv("STYLERF_TEST_ELSEWHERE", str(tmp_path / "elsewhere"))
     processes = start(2, *first, folder=tmp_path)
     codes = ended(processes, 100)
-    told = (tmp_path / "err0").read_text().splitlines()
-    assert codes[0] == 5 and codes[1] != 0 and len(told) == 1, told
-    assert "(process 1: ArtifactStale:" in told[0] and "elsewhere" in told[0]
+    reported = (tmp_path / "err0").read_text().splitlines()
+    assert codes[0] == 5 and codes[1] != 0 and len(reported) == 1, reported
+    assert "(process 1: ArtifactStale:" in reported[0] and "elsewhere" in reported[0]
     assert (tmp_path / "err1").read_text() == ""
 
 
 def test_processes_that_find_no_gpu_end_at_once_and_say_so(scene, tmp_path):
     processes = start(2, *command(scene, 30, "--device", "cuda"), folder=tmp_path)
     assert ended(processes, 100) == [2, 2]
-    told = (tmp_path / "err0").read_text().splitlines()
-    assert len(told) == 1 and told[0].startswith("stylerf: error: --device cuda: torch finds no usable GPU"), told
+    reported = (tmp_path / "err0").read_text().splitlines()
+    assert len(reported) == 1 and reported[0].startswith("stylerf: error: --device cuda: torch finds no usable GPU"), (
+        reported
+    )
     assert (tmp_path / "err1").read_text() == ""
 
 

@@ -96,7 +96,7 @@ def test_a_full_disk_stops_an_import_and_a_larger_one_lets_it_go_on(
     WorkFolder(folder / "work").get("scene", "main").verify()
 
 
-def test_a_read_only_disk_is_told(disk, nursery, photos, tmp_path):
+def test_a_read_only_disk_is_reported(disk, nursery, photos, tmp_path):
     folder = disk("size=16m")
     assert nursery.run(tmp_path / "said", "import", photos, folder / "work").code == 0
     subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
@@ -106,7 +106,7 @@ def test_a_read_only_disk_is_told(disk, nursery, photos, tmp_path):
 
 
 @pytest.mark.parametrize("place", ["closed", "under a file", "/proc", "/sys"])
-def test_a_place_that_cannot_be_written_to_is_told(photos, tmp_path, capsys, place):
+def test_a_place_that_cannot_be_written_to_is_reported(photos, tmp_path, capsys, place):
     """/proc and /sys refuse root too."""
     if place == "closed":
         if os.geteuid() == 0:
@@ -122,7 +122,7 @@ def test_a_place_that_cannot_be_written_to_is_told(photos, tmp_path, capsys, pla
     assert err.count("\n") == 1 and str(work) in err and ("choose" in err or "free" in err)
 
 
-def test_too_little_memory_is_told(work, nursery, tmp_path):
+def test_too_little_memory_is_reported(work, nursery, tmp_path):
     """A camera of 16,000 x 16,000 pixels in an address space of four gigabytes."""
     camera = {"world_from_camera": [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]], "width": 16_000,
               "height": 16_000, "fx": 16e3, "fy": 16e3, "cx": 8e3, "cy": 8e3}  # fmt: skip

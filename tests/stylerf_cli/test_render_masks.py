@@ -105,7 +105,7 @@ def test_pictures_of_regions_hold_what_the_channels_hold(work, regions, capsys):
     assert not (without / "exr").exists() and len(list((without / "masks" / "low").iterdir())) == 2
 
 
-def test_a_changed_region_makes_frames_anew_and_one_that_stands_does_not(work, regions, capsys):
+def test_a_changed_region_makes_frames_again_and_one_that_stands_does_not(work, regions, capsys):
     folder, _, _ = rendered(work, capsys, *TEST)
     first = Artifact(folder).manifest
     assert "is up to date" in rendered(work, capsys, *TEST)[2]

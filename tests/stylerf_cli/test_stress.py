@@ -132,9 +132,9 @@ def test_a_second_stress_of_a_work_folder_is_refused_until_the_first_ends(folder
     runs.during = second
     assert stress(folder) == 0 and len(runs.made) == 15
     assert codes == [(5, 4), (5, 0)]  # nothing stood at first
-    told = f"stress runs is being written by another process ({os.getpid()} on "
+    reported = f"stress runs is being written by another process ({os.getpid()} on "
     err = capsys.readouterr().err
-    assert told in err and "wait for it to end, or add --only" in err
+    assert reported in err and "wait for it to end, or add --only" in err
     runs.during = lambda: None
     assert stress(folder, "--force") == 0
     runs.raising["fit", "seeds", 0] = OutOfResources("no space")
@@ -214,7 +214,7 @@ def test_what_stands_is_found_without_its_painting(folder, runs, capsys):
     assert not (folder / "stress" / "styles").exists()
 
 
-def test_paintings_are_made_anew_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
+def test_paintings_are_made_again_by_force_and_of_another_revision(folder, runs, capsys, monkeypatch, tmp_path):
     baseline, made = str(tmp_path / "baseline.json"), []
 
     def other(fault, side, seed):
@@ -337,10 +337,13 @@ def test_a_cell_that_is_worse_ends_with_one_and_all_is_written(folder, runs, cap
     assert "no cell of 5 compared is worse" in capsys.readouterr().out  # read: the next begins with its JSON
     runs.answers["arf", "seeds"] = 5.0
     assert stress(folder, "--baseline", baseline, "--force", "--json") == 1
-    told = json.loads(capsys.readouterr().out)
-    assert told["exit_code"] == 1 and told["error"].startswith("arf under seeds: 0 of 3 succeed, 3 of 3 did")
-    assert len(told["baseline"]["worse"]) == 1
-    assert json.loads((folder / "stress" / "stress.json").read_text())["baseline"]["worse"] == told["baseline"]["worse"]
+    reported = json.loads(capsys.readouterr().out)
+    assert reported["exit_code"] == 1 and reported["error"].startswith("arf under seeds: 0 of 3 succeed, 3 of 3 did")
+    assert len(reported["baseline"]["worse"]) == 1
+    assert (
+        json.loads((folder / "stress" / "stress.json").read_text())["baseline"]["worse"]
+        == reported["baseline"]["worse"]
+    )
     made = len(runs.made)
     assert main(["stress", str(folder), "--budget", "11", "--baseline", baseline]) == 2  # before anything is run
     assert main(["stress", str(folder), "--baseline", str(tmp_path / "none.json")]) == 3 and len(runs.made) == made
@@ -378,7 +381,9 @@ def test_what_stands_of_a_stress_that_was_stopped_is_no_baseline_and_passes_none
         if path.name.split("--")[2] != "0":
             path.unlink()
     assert stress(folder, "--only", "--baseline", str(baseline)) == 1
-    assert "no cell could be compared" in (told := capsys.readouterr().err) and "number of runs 1, was 3" in told
+    assert (
+        "no cell could be compared" in (reported := capsys.readouterr().err) and "number of runs 1, was 3" in reported
+    )
     assert stress(folder, "--only", "--write-baseline", str(baseline)) == 2
     assert "has 1 of 3 runs" in capsys.readouterr().err and baseline.read_bytes() == kept
 
@@ -399,8 +404,8 @@ def test_remedies_are_options_of_their_stages():
     from stages.configs.stylize import ArfConfig
 
     plain = FitConfig(), ArfConfig(style="a.png"), DeformConfig()
-    asked = trials.REMEDIES_OF_FIT, trials.REMEDIES_OF_STYLE, trials.REMEDIES_OF_DEFORM
-    for config, remedies in zip(plain, asked, strict=True):
+    requested = trials.REMEDIES_OF_FIT, trials.REMEDIES_OF_STYLE, trials.REMEDIES_OF_DEFORM
+    for config, remedies in zip(plain, requested, strict=True):
         assert all(getattr(config, name) == 0 < value for name, value in remedies.items())
 
 
@@ -408,8 +413,8 @@ def test_an_edits_options_follow_its_fault(folder, runs, capsys):
     """A color for a palette, a painting for strokes; the key of a run tells them apart, and knows no folder."""
     methods = ("laenerf-recolor", "laenerf-paint", "palettenerf")
     faults = ("seeds", "style-wash", "palette-random", "palette-full")
-    asked = ("--methods", *methods, "--faults", *faults, "--seeds", "1", "--remedies", "both")
-    assert main(["stress", str(folder), *asked]) == 0
+    requested = ("--methods", *methods, "--faults", *faults, "--seeds", "1", "--remedies", "both")
+    assert main(["stress", str(folder), *requested]) == 0
     capsys.readouterr()
     assert len(runs.made) == 2 * (3 + 1 + 1 + 2)
     keys = {json.loads(path.read_text())["key"] for path in (folder / "stress" / "runs").iterdir()}
@@ -456,9 +461,9 @@ def test_a_run_takes_as_long_as_all_that_it_is_made_of(folder, monkeypatch, caps
     assert main(["stress", str(folder), *few, "--json"]) == 0
     capsys.readouterr()
     with open(folder / "stress" / "runs.csv", newline="") as stream:
-        told = {(row["method"], row["seed"]): float(row["seconds"]) for row in csv.DictReader(stream)}
-    assert told["fit", "0"] == told["fit", "1"] == 11 and told["arf", "0"] == 111
-    assert told["arf", "1"] == pytest.approx(11, abs=1)
+        reported = {(row["method"], row["seed"]): float(row["seconds"]) for row in csv.DictReader(stream)}
+    assert reported["fit", "0"] == reported["fit", "1"] == 11 and reported["arf", "0"] == 111
+    assert reported["arf", "1"] == pytest.approx(11, abs=1)
 
 
 @pytest.mark.slow

@@ -60,7 +60,7 @@ def test_long_names_are_cut_and_stay_apart(work, tmp_path, capsys):
     assert len(names(work)) == 2 and all(len(name) <= 64 and name.startswith(long[:50]) for name in names(work))
 
 
-def test_other_weights_make_the_field_anew(work, tmp_path, capsys, monkeypatch):
+def test_other_weights_make_the_field_again(work, tmp_path, capsys, monkeypatch):
     style = painting(tmp_path / "night.png", 0)
     stylized(work, capsys, style, "--features", "st-vgg16")
     assert "up to date" in stylized(work, capsys, style, "--features", "st-vgg16")
@@ -91,8 +91,8 @@ def test_an_edited_field_is_stylized_by_the_photos_that_hold_its_edit_and_a_styl
         assert inputs == {"scene": scene, "field": of}
     capsys.readouterr()
     assert main(["stylize", str(work.root), "--style", str(style), "--of", "of-vase-red", "--name", "twice"]) == 2
-    assert "field of-vase-red has colors that no photo shows" in (told := capsys.readouterr().err)
-    assert "Start from --of vase-red," in told
+    assert "field of-vase-red has colors that no photo shows" in (reported := capsys.readouterr().err)
+    assert "Start from --of vase-red," in reported
 
 
 def blank(folder):

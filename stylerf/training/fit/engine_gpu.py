@@ -92,14 +92,15 @@ class GpuEngine:
     def _copy(self, field: RadianceField) -> None:
         """Copy a field to the device; what is still on its way back is of the one before."""
         self._host, self._stale = field, False
+        self._parts = field.density, field.color  # the field itself may get others before it is adopted again
         self.device_field = GpuField(field, self.device)
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
     def adopt(self, field: RadianceField) -> None:
-        old = self._host
+        density, color = self._parts
         self._copy(field)
-        self.density_adam = self._adam_of(self.device_field.density, self.density_adam, old.density is field.density)
-        self.color_adam = self._adam_of(self.device_field.color, self.color_adam, old.color is field.color)
+        self.density_adam = self._adam_of(self.device_field.density, self.density_adam, density is field.density)
+        self.color_adam = self._adam_of(self.device_field.color, self.color_adam, color is field.color)
 
     def _adam_of(self, part: GpuPart, before: GpuAdam, kept: bool) -> GpuAdam:
         """An optimizer of a part's new tensors; if the part was kept, with the moments of `before`."""

@@ -119,9 +119,11 @@ def entry(**changes) -> dict:
     ],
 )
 def test_files_that_are_no_paths(scene, tmp_path, content, words):
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         read_cameras(written(tmp_path, content), scene)
-    assert words in str(told.value) and str(told.value).startswith("--path ") and "\n" not in str(told.value)
+    assert (
+        words in str(reported.value) and str(reported.value).startswith("--path ") and "\n" not in str(reported.value)
+    )
 
 
 @pytest.mark.parametrize("content", [{}, {"transform": [[1, 0, 0, 0]] * 3, "scale": 1}, {"transform": 3, "scale": 1}])

@@ -122,8 +122,8 @@ def test_photos_are_seen_at_the_exposure_of_the_fit(tmp_path):
     assert np.array_equal(load_scene(scene, alike).images(1), plain.images(1))
     assert load_scene(scene, fit).exposure_figures == {EXPOSURE_STOPS: stops}
     # What was taught those photos tells it, whatever becomes of the fit.
-    told = load_scene(scene, fit).exposure_figures
-    bent = made_of("bent", {"scene": scene, "field": fit}, figures=told)
+    reported = load_scene(scene, fit).exposure_figures
+    bent = made_of("bent", {"scene": scene, "field": fit}, figures=reported)
     made_of("fit", {"scene": scene}, figures={EXPOSURE_STOPS: {}})
     assert load_scene(scene, bent).stops == stops and load_scene(scene, painted).stops == {}
     # Photos that carry an edit already are at that exposure: distill has put the edit on what `seen_by` gives.

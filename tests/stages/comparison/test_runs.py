@@ -62,8 +62,8 @@ def test_consistency_over_few_pixels_is_on_no_front(work):
     fronts = on_fronts(every, ["short_rmse", "long_rmse"])["room/few"]
     assert "long_rmse/seconds" in fronts and not any(one.startswith("short") for one in fronts)
     assert any(run.name == "few" for run in panel_of(every, "short_rmse", "seconds").runs)  # it is drawn all the same
-    (told,) = disagreements(every, ["short_rmse", "long_rmse"])
-    assert told.what == "room/few: short_rmse" and told.why.startswith("Measured on only 3.6% of the pixels")
+    (reported,) = disagreements(every, ["short_rmse", "long_rmse"])
+    assert reported.what == "room/few: short_rmse" and reported.why.startswith("Measured on only 3.6% of the pixels")
 
 
 def test_a_changed_palette_is_an_edit_that_costs_what_its_learning_did(work):
@@ -113,8 +113,8 @@ def test_a_metric_is_that_of_the_newest_report_with_it(work, monkeypatch):
         (0, "elsewhere", {"sparsity": 9.0, "content_ssim": 9.0}, [other]),
     ):
         created(monkeypatch, minute)
-        told = {"regions": [one.name for one in regions]} if regions else None
-        runs.report(work, field, figures, told, name=name, regions=regions)
+        reported = {"regions": [one.name for one in regions]} if regions else None
+        runs.report(work, field, figures, reported, name=name, regions=regions)
     shutil.rmtree(work.root / "report" / "cup")
     run = found(work)[0]["cup"]
     means = {key: measure.mean for key, measure in run.metrics.items()}
@@ -144,9 +144,9 @@ def test_views_left_out_and_other_numbers_of_views_share_no_front(work):
     every = list(found(work)[0].values())
     fronts = on_fronts(every, ["psnr"])
     assert not fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-60s"]
-    told = {gap.what: gap.why for gap in disagreements(every, ["psnr"])}
-    assert told["room/fit-10s: psnr"] == "1 of 3 views or pairs could not be measured."
-    assert told["room: psnr"].startswith("Measured over 2 and 3 views or pairs")
+    reported = {gap.what: gap.why for gap in disagreements(every, ["psnr"])}
+    assert reported["room/fit-10s: psnr"] == "1 of 3 views or pairs could not be measured."
+    assert reported["room: psnr"].startswith("Measured over 2 and 3 views or pairs")
     runs.report(work, field, {"psnr": 99.0}, changed={"count": 2})
     fronts = on_fronts(list(found(work)[0].values()), ["psnr"])
     assert "psnr/seconds" in fronts["room/fit-10s"] and "psnr/seconds" in fronts["room/fit-300s"]
@@ -193,8 +193,8 @@ def test_scenes_and_protocols_do_not_share_a_front(work, tmp_path):
     assert disagreements(some, ["psnr"]) == []
     runs.report(work, work.get("field", "fit-10s"), {"psnr": 25.0}, protocol="another way")
     some, _ = runs_of([work, other])
-    told = disagreements(some, ["psnr"])
-    assert [gap.what for gap in told] == ["room: psnr"] and "2 protocols" in told[0].why
+    reported = disagreements(some, ["psnr"])
+    assert [gap.what for gap in reported] == ["room: psnr"] and "2 protocols" in reported[0].why
     assert "psnr/seconds" in on_fronts(some, ["psnr"])["room/fit-60s"]  # the faster one no longer counts against it
 
 
@@ -226,8 +226,8 @@ def test_groups_are_known_by_content_and_called_by_names(work):
         ("i", 54.0, {"masks": "/other/masks", "masks_digest": "6" * 64}, regions),
     ):
         runs.edited(work, scene, base, name, (1.0, 1.0, 1.0, seconds), {})
-        told = {"regions": [one.name for one in given]}
-        runs.report(work, work.get("field", name), figures, told, config=config, regions=given)
+        reported = {"regions": [one.name for one in given]}
+        runs.report(work, work.get("field", name), figures, reported, config=config, regions=given)
     group = {name: run.group for name, run in found(work)[0].items()}
     assert group["a"] == group["c"] != group["b"] and group["a"].startswith("room, starry.jpg (")
     assert group["d"] != group["e"] and group["d"].startswith("room, after x.png (")
@@ -244,8 +244,8 @@ def test_different_thread_counts_give_a_remark(tmp_path):
     compared, _ = runs_of([work])
     assert thread_mismatches(compared) == []
     made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
-    told = thread_mismatches(runs_of([work])[0])
-    assert len(told) == 1 and told[0].why.startswith("Run on 2 and 8 threads")
+    reported = thread_mismatches(runs_of([work])[0])
+    assert len(reported) == 1 and reported[0].why.startswith("Run on 2 and 8 threads")
 
 
 def test_what_is_missing_is_named_with_its_command(work):
@@ -255,16 +255,16 @@ def test_what_is_missing_is_named_with_its_command(work):
     runs.edited(work, scene, base, "plain", (1.0, 1.0, 1.0, 1.0), {"sparsity": 1.0})
     made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
     _, gaps = found(work)
-    told = {gap.what: gap.why for gap in gaps}
-    assert f"stylerf eval {work.root} --of unseen" in told["room/unseen: all metrics"]
-    assert told["room/half: short_rmse, long_rmse"].endswith("--of half --path PATH")
-    assert told["room/plain: background_mse, bleeding"].endswith("--of plain --region NAME")
-    assert "room/nameless: parameters" in told
+    reported = {gap.what: gap.why for gap in gaps}
+    assert f"stylerf eval {work.root} --of unseen" in reported["room/unseen: all metrics"]
+    assert reported["room/half: short_rmse, long_rmse"].endswith("--of half --path PATH")
+    assert reported["room/plain: background_mse, bleeding"].endswith("--of plain --region NAME")
+    assert "room/nameless: parameters" in reported
 
 
 def test_reports_of_older_fields_and_damaged_ones_do_not_count(work):
     scene = work.get("scene", "wall")
-    runs.fit(work, scene, "fit-60s", 61.0, None)  # made anew; its report is of the one before
+    runs.fit(work, scene, "fit-60s", 61.0, None)  # made again; its report is of the one before
     by_name, gaps = found(work)
     assert by_name["fit-60s"].metrics == {} and any("fit-60s: all metrics" in gap.what for gap in gaps)
     manifest = work.root / "field" / "fit-300s" / "manifest.json"

@@ -1,5 +1,5 @@
-"""Poses that do not explain their photos are told: the corner of a room, whose cameras are known exactly, and are then
-given wrongly."""
+"""Poses that do not explain their photos are reported: the corner of a room, whose cameras are known exactly, and are
+then given wrongly."""
 
 from dataclasses import replace
 

@@ -70,9 +70,9 @@ def test_only_names_options_seed_and_a_quoted_folder(tmp_path):
 
 def test_several_processes_use_what_the_first_one_finds():
     """Here the second looks after the first has made what it did not find."""
-    told = queue.SimpleQueue()
-    first = SimpleNamespace(count=2, first=True, tell=lambda text: told.put(text) or text)
-    second = SimpleNamespace(count=2, first=False, tell=lambda text: told.get_nowait())
+    reported = queue.SimpleQueue()
+    first = SimpleNamespace(count=2, first=True, tell=lambda text: reported.put(text) or text)
+    second = SimpleNamespace(count=2, first=False, tell=lambda text: reported.get_nowait())
     assert agree(first, lambda: "") == ""
     assert agree(second, lambda: "fox") == ""
     assert agree(first, lambda: "fox") == "fox"

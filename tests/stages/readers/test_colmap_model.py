@@ -1,7 +1,7 @@
 """COLMAP models as COLMAP, 3DGS and nerfstudio write and read them. Each case is a row of docs/import.md.
 
-The capture is of white dots, whose places follow from the cameras by projection: what a case must come to is told by
-where the dots are in the imported pictures.
+The capture is of white dots, whose places follow from the cameras by projection: what a case must come to is reported
+by where the dots are in the imported pictures.
 """
 
 import shutil
@@ -374,9 +374,9 @@ REFUSED = {
 def test_refused(capture, tmp_path, row):
     make, words = REFUSED[row]
     make(capture)
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         imported(capture, tmp_path / "work", test_every=0)
-    assert words in str(told.value) and "\n" not in str(told.value)
+    assert words in str(reported.value) and "\n" not in str(reported.value)
 
 
 def damaged_beside_llff(root: Path) -> None:

@@ -105,13 +105,13 @@ def joined(root: Path) -> None:
         "<transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>0 0 0</translation><scale>1</scale></transform>"
     )
     there = f"<transform><rotation>{rotation}</rotation><translation>{shift}</translation><scale>3</scale></transform>"
-    told = f'<components><component id="0">{here}</component><component id="1">{there}</component></components>'
-    metashape(root, components=told, component=lambda index: index % 2, moved=moved)
+    reported = f'<components><component id="0">{here}</component><component id="1">{there}</component></components>'
+    metashape(root, components=reported, component=lambda index: index % 2, moved=moved)
 
 
 def apart(root: Path) -> None:
-    told = '<components><component id="0"/><component id="1"/></components>'
-    metashape(root, components=told, component=lambda index: int(index == 5))
+    reported = '<components><component id="0"/><component id="1"/></components>'
+    metashape(root, components=reported, component=lambda index: int(index == 5))
 
 
 def some_cameras(root: Path) -> None:
@@ -171,8 +171,8 @@ def shots(count: int = 6) -> dict:
     found = {}
     for name, pose in zip(NAMES[:count], dots.poses()):
         inverse = np.linalg.inv(pose)
-        told = {"rotation": angle_axis(inverse[:3, :3]), "translation": inverse[:3, 3].tolist()}
-        found[name] = {**told, "camera": "v2 phone"}
+        reported = {"rotation": angle_axis(inverse[:3, :3]), "translation": inverse[:3, 3].tolist()}
+        found[name] = {**reported, "camera": "v2 phone"}
     return found
 
 
@@ -181,9 +181,9 @@ def opensfm(
 ):
     camera = camera or OPENSFM[kind]
     photos(root, project=opensfm_pixels(kind, camera) if kind in OPENSFM else None)
-    told = {"projection_type": kind, "width": WIDTH, "height": HEIGHT, **camera}
+    reported = {"projection_type": kind, "width": WIDTH, "height": HEIGHT, **camera}
     points = {str(n): {"coordinates": p.tolist(), "color": [250.0, 251, 252]} for n, p in enumerate(dots.POINTS)}
-    part = change({"cameras": {"v2 phone": told}, "shots": shots(), "points": points})
+    part = change({"cameras": {"v2 phone": reported}, "shots": shots(), "points": points})
     (root / place).parent.mkdir(exist_ok=True)
     (root / place).write_text(json.dumps([*also, part]))
 
@@ -342,9 +342,9 @@ REFUSED = {
 def test_refused(tmp_path, row):
     make, words = REFUSED[row]
     make(tmp_path / "capture")
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         imported(tmp_path / "capture", tmp_path / "work", test_every=0)
-    assert words in str(told.value) and "--format photos" in str(told.value) and "\n" not in str(told.value)
+    assert words in str(reported.value) and "--format photos" in str(reported.value) and "\n" not in str(reported.value)
 
 
 def test_deeply_nested_xml_is_refused(tmp_path):
@@ -376,9 +376,9 @@ def test_named(tmp_path, row):
     root = tmp_path / "capture"
     photos(root)
     (root / name).write_bytes(content)
-    with pytest.raises(BadInput) as told:
+    with pytest.raises(BadInput) as reported:
         imported(root, tmp_path / "work")
-    line = str(told.value)
+    line = str(reported.value)
     assert f"{name} holds poses of {tool}, which are not supported" in line and line.endswith("with --format photos")
     assert found_in(root, "photos").kind == "photos"
     write_colmap(root)

@@ -102,7 +102,7 @@ def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
 # -- COLMAP ------------------------------------------------------------------------------------------------------------
 
 
-def test_of_several_models_the_one_of_most_photos_is_taken_and_told(source, tmp_path):
+def test_of_several_models_the_one_of_most_photos_is_taken_and_reported(source, tmp_path):
     capture.write_colmap(source)
     sparse = source / "sparse"
     (sparse / "0").rename(sparse / "10")
@@ -296,7 +296,7 @@ def test_a_list_of_poses_counts(posed):
     assert digest_of_source(posed) != before
 
 
-def test_photos_in_a_folder_elsewhere_are_told_by_its_name(source, tmp_path):
+def test_photos_in_a_folder_elsewhere_are_reported_by_its_name(source, tmp_path):
     np.save(source / "poses_bounds.npy", capture.llff())
     (source / "images").rename(tmp_path / "images_2")
     scene = scene_of(imported(source, tmp_path / "work", images=str(tmp_path / "images_2")))

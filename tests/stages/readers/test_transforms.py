@@ -33,19 +33,19 @@ def row(name: str):
     return kept
 
 
-def told_rows() -> list[str]:
+def reported_rows() -> list[str]:
     """The names in the table."""
     page = (REPOSITORY / "docs" / "import.md").read_text()
     return re.findall(r"^\| `([a-z0-9-]+)` \|", page.partition("## transforms.json")[2].partition("\n## ")[0], re.M)
 
 
-@pytest.mark.parametrize("name", told_rows())
+@pytest.mark.parametrize("name", reported_rows())
 def test_row(name, source, tmp_path):
     ROWS[name](source, tmp_path)
 
 
 def test_the_table_has_a_row_for_each_test():
-    assert sorted(told_rows()) == sorted(ROWS)
+    assert sorted(reported_rows()) == sorted(ROWS)
 
 
 def listed(**changes) -> dict:
@@ -509,10 +509,10 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     """nerfstudio turns COLMAP's world, (x, y, z) -> (y, x, -z), and may scale it."""
     turn = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]])
-    for scale, told in ((1.0, {}), (0.25, {"applied_scale": 0.25})):
+    for scale, reported in ((1.0, {}), (0.25, {"applied_scale": 0.25})):
         moved = np.array([[1, 1, 1, scale]] * 3 + [[1] * 4])
         content = with_poses(lambda pose, moved=moved: turn @ pose * moved)
-        found = read(source, content | told | {"applied_transform": turn[:3].tolist()})
+        found = read(source, content | reported | {"applied_transform": turn[:3].tolist()})
         np.testing.assert_allclose(poses(found), TRUE_POSES, atol=1e-12)
         assert found.kind == "transforms.json of nerfstudio" and not found.remarks
     assert "applied_transform is no rotation" in refusal(source, listed(applied_transform=(3 * turn).tolist()[:3]))

@@ -235,14 +235,14 @@ def test_a_stage_resumes_where_it_stopped_and_the_clock_adds_up(tmp_path, expect
     assert 5 < made.manifest.peak_memory_mb < 50_000
 
 
-def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expected, monkeypatch):
+def test_expensive_work_with_other_options_is_not_lost_without_a_word(tmp_path, expected, monkeypatch):
     work, said = WorkFolder(tmp_path / "x"), []
 
     class Heard(Silent):
         def say(self, text):
             said.append(text)
 
-    def asked(config, **more):
+    def requested(config, **more):
         return execute(SPEC, run, work, "fox", {}, config, Context(progress=Heard()), protect=True, **more)
 
     def interrupted(inputs, config, partial, context):
@@ -250,38 +250,38 @@ def test_dear_work_with_other_options_is_not_lost_without_a_word(tmp_path, expec
 
     with pytest.raises(KeyboardInterrupt):
         toy(work, function=interrupted)
-    told = json.loads((work.root / "field/.fox.partial/clock.json").read_text())
-    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
+    reported = json.loads((work.root / "field/.fox.partial/clock.json").read_text())
+    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(reported | {"seconds": 3300.0}))
     with pytest.raises(ArtifactStale, match="55 min of work with --steps 30, would be lost; run `stylerf toy`"):
-        asked(ToyConfig(steps=31))
-    made, _ = asked(ToyConfig())
+        requested(ToyConfig(steps=31))
+    made, _ = requested(ToyConfig())
     assert made.digest == expected and made.manifest.seconds > 3300
-    assert asked(ToyConfig())[1]
+    assert requested(ToyConfig())[1]
     assert said == ["resuming the interrupted toy of fox"]
-    asked(ToyConfig(steps=31))
+    requested(ToyConfig(steps=31))
     assert said[1:] == [
         "field fox, 55 min of work with --steps 30, will be replaced when this is done; "
         "`stylerf toy --name NAME` keeps both"
     ]
-    asked(ToyConfig())  # what took a moment goes without a word
+    requested(ToyConfig())  # what took a moment goes without a word
     with pytest.raises(KeyboardInterrupt):
         toy(work, function=interrupted, config=ToyConfig(steps=40))
-    asked(ToyConfig(steps=41))
+    requested(ToyConfig(steps=41))
     assert len(said) == 2
     with pytest.raises(KeyboardInterrupt):
         toy(work, function=interrupted)
-    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(told | {"seconds": 3300.0}))
-    asked(ToyConfig(steps=42), force=True)
+    (work.root / "field/.fox.partial/clock.json").write_text(json.dumps(reported | {"seconds": 3300.0}))
+    requested(ToyConfig(steps=42), force=True)
     assert work.unfinished() == []
 
 
-def test_options_to_go_on_with_are_told_as_a_command_line_takes_them():
+def test_options_to_go_on_with_are_reported_as_a_command_line_takes_them():
     before = Recipe("toy", 1, {"remember": False, "masks": True, "layers": ["a b", "c"], "steps": 30}, [], seed=7)
     now = Recipe("toy", 1, {"remember": True, "masks": False, "layers": [], "steps": 30}, [], seed=0)
     assert now.other_options(before) == "--no-remember, --masks, --layers 'a b' c, --seed 7"
 
 
-def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):
+def test_expensive_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monkeypatch):
     work, said = WorkFolder(tmp_path / "x"), []
     monkeypatch.setattr("stages.run.runner.EXPENSIVE_SECONDS", 0.0)
 
@@ -289,17 +289,17 @@ def test_dear_work_on_other_inputs_is_not_replaced_without_a_word(tmp_path, monk
         def say(self, text):
             said.append(text)
 
-    def asked(steps: int, inputs: dict, spec: Spec = SPEC):
+    def requested(steps: int, inputs: dict, spec: Spec = SPEC):
         return execute(spec, run, work, "fox", inputs, ToyConfig(steps=steps), Context(progress=Heard()), protect=True)
 
     source, _ = toy(work, "photos")
-    asked(5, {"scene": source})
+    requested(5, {"scene": source})
     source, _ = toy(work, "photos", ToyConfig(steps=7))
-    asked(5, {"scene": source})
+    requested(5, {"scene": source})
     assert [line.partition("work ")[2].partition(",")[0] for line in said] == ["with field photos as it was"]
     source, _ = toy(work, "photos", ToyConfig(steps=8))
-    asked(6, {"scene": source})
-    asked(6, {"scene": source}, replace(SPEC, revision=SPEC.revision + 1))
+    requested(6, {"scene": source})
+    requested(6, {"scene": source}, replace(SPEC, revision=SPEC.revision + 1))
     assert "work with --steps 5, field photos as it was, will" in said[1]
     assert f"work with revision {SPEC.revision} of {SPEC.stage}, will" in said[2] and len(said) == 3
 
@@ -316,10 +316,10 @@ def test_where_a_file_lies_has_no_say_once_its_content_is_known():
     assert made("/here/a.png", "12").digest == made("/there/b.png", "12").digest
     assert made("/here/a.png", "12").digest != made("/here/a.png", "13").digest
     assert made("/here/a.png", "").digest != made("/there/b.png", "").digest
-    assert made("/here/a.png", "12").config["style"] == "/here/a.png"  # told in the manifest all the same
+    assert made("/here/a.png", "12").config["style"] == "/here/a.png"  # reported in the manifest all the same
 
 
-def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeypatch):
+def test_expensive_work_of_other_inputs_is_reported_when_it_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(partial, "EXPENSIVE_SECONDS", 0.0)
     monkeypatch.setattr(runner, "EXPENSIVE_SECONDS", 0.0)
     work, said = WorkFolder(tmp_path), []
@@ -328,7 +328,7 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
         def say(self, text):
             said.append(text)
 
-    def asked(scene, function=run):
+    def requested(scene, function=run):
         context = Context(progress=Heard())
         return execute(SPEC, function, work, "fox", {"scene": scene}, ToyConfig(), context, protect=True)
 
@@ -340,9 +340,9 @@ def test_dear_work_of_other_inputs_is_told_when_it_is_given_up(tmp_path, monkeyp
         return execute(spec, run, work, "main", {}, ToyConfig(steps=3), Context(seed=seed), force=True)[0]
 
     with pytest.raises(KeyboardInterrupt):
-        asked(source(0), interrupted)
-    asked(source(1))
-    asked(source(2))
+        requested(source(0), interrupted)
+    requested(source(1))
+    requested(source(2))
     assert said == [
         f"{before}, 0 min of work with scene main as it was, {after}"
         for before, after in (
@@ -388,7 +388,7 @@ def test_peak_memory_is_that_of_the_stage_not_of_the_one_before(tmp_path):
         (type("OutOfMemoryError", (RuntimeError,), {})("CUDA out of memory"), "out of memory"),
     ],
 )
-def test_a_machine_that_refuses_is_told_and_the_run_can_be_resumed(tmp_path, fault, words, expected):
+def test_a_machine_that_refuses_is_reported_and_the_run_can_be_resumed(tmp_path, fault, words, expected):
     def refused(inputs, config, partial, context):
         (partial.checkpoint / "kept").write_text("")
         raise fault
@@ -471,22 +471,22 @@ def fill(folder, *arguments) -> str:
     return done.stdout
 
 
-def test_a_file_size_limit_is_told_and_the_next_run_finishes(tmp_path):
+def test_a_file_size_limit_is_reported_and_the_next_run_finishes(tmp_path):
     assert fill(tmp_path, 10_000, 30_000).startswith("no space left")
     assert WorkFolder(tmp_path).artifacts() == []
     assert fill(tmp_path, 10_000) == "made\n"
     WorkFolder(tmp_path).get("field", "fox").verify()
 
 
-def test_a_full_disk_is_told_and_the_next_run_finishes(tmp_path):
+def test_a_full_disk_is_reported_and_the_next_run_finishes(tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(disk)]
     if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode != 0:
         pytest.skip("mounting a small tmpfs needs root; the file size limit above tests the same path")
     try:
-        told = fill(disk, 100_000)
-        assert told.startswith("no space left") and "MB free" in told
+        reported = fill(disk, 100_000)
+        assert reported.startswith("no space left") and "MB free" in reported
         assert WorkFolder(disk).artifacts() == [] and WorkFolder(disk).unfinished() == [("field", "fox")]
         assert fill(disk, 1000) == "made\n"
         WorkFolder(disk).get("field", "fox").verify()
@@ -494,7 +494,7 @@ def test_a_full_disk_is_told_and_the_next_run_finishes(tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_a_folder_without_write_permission_is_told(tmp_path):
+def test_a_folder_without_write_permission_is_reported(tmp_path):
     if os.geteuid() == 0:
         pytest.skip("root may write anywhere; the next test refuses through the system calls")
     tmp_path.chmod(0o500)
@@ -506,7 +506,7 @@ def test_a_folder_without_write_permission_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("call", ["mkdir", "open"])
-def test_a_refused_system_call_is_told(tmp_path, monkeypatch, call):
+def test_a_refused_system_call_is_reported(tmp_path, monkeypatch, call):
     real = getattr(os, call)
 
     def refuse(path, *arguments, **keywords):
@@ -627,7 +627,7 @@ def test_what_could_not_be_read_keeps_the_run_whatever_the_fault_is_called(tmp_p
     assert (tmp_path / "field" / ".fox.partial" / "checkpoint" / "kept").exists()
 
 
-def test_a_partial_run_that_cannot_be_opened_is_told_and_kept(tmp_path, monkeypatch):
+def test_a_partial_run_that_cannot_be_opened_is_reported_and_kept(tmp_path, monkeypatch):
     begun = WorkFolder(tmp_path).begin("field", "fox", recipe_of(SPEC, {}, ToyConfig(), 0))
     begun.release()
     with monkeypatch.context() as failing:

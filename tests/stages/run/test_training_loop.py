@@ -49,7 +49,7 @@ def test_a_flipped_bit_gives_way_to_the_one_before(tmp_path, at):
     assert len(said) == 1 and "000002" in said[0] and "using the one before it" in said[0]
 
 
-def test_with_both_damaged_a_run_begins_anew_and_says_so(tmp_path):
+def test_with_both_damaged_a_run_begins_again_and_says_so(tmp_path):
     save(tmp_path, 1)
     save(tmp_path, 2)
     for path in files(tmp_path):
@@ -107,12 +107,12 @@ def partial(tmp_path):
 
 
 def run(toy, partial, every=1e9, first=True):
-    said, told = Said(), []
+    said, reported = Said(), []
     context = Context(processes=SimpleNamespace(first=first), progress=said)
     try:
-        run_training(toy, "the toy", every, partial, context, lambda now: told.append(now.step))
+        run_training(toy, "the toy", every, partial, context, lambda now: reported.append(now.step))
     finally:
-        assert told == [1, 2, 3] and said.finished == 1
+        assert reported == [1, 2, 3] and said.finished == 1
     return load_checkpoint(partial.checkpoint, print)
 
 
@@ -130,6 +130,6 @@ def test_ctrl_c_keeps_whole_steps_alone(partial, between_steps):
     assert (load_checkpoint(partial.checkpoint, print) is not None) == between_steps
 
 
-def test_what_does_not_converge_is_told_by_its_name(partial):
+def test_what_does_not_converge_is_reported_by_its_name(partial):
     with pytest.raises(BadInput, match="the toy does not converge: too far"):
         run(Toy(Diverged("too far")), partial)

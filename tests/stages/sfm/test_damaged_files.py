@@ -21,7 +21,7 @@ from tests.stages.photo_room import walk, write_photos
 
 
 class Heard:
-    """A Teller that keeps what it is told."""
+    """A Teller that keeps what it is reported."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -191,7 +191,7 @@ def reconstructed(room: Path, checkpoint: Path, said: Said):
 
 @pytest.mark.parametrize("name", ["result.json", "model/images.bin", "model/cameras.bin", "model/points3D.bin"])
 @pytest.mark.parametrize("damage", [flipped, cut, Path.unlink])
-def test_damaged_poses_are_told_from_whole_ones(ended, tmp_path, name, damage):
+def test_damaged_poses_are_reported_from_whole_ones(ended, tmp_path, name, damage):
     shutil.copytree(ended[1] / "sfm", tmp_path / "sfm")
     assert reconstruction.finished(tmp_path / "sfm")["figures"]["registered"] == 8
     damage(tmp_path / "sfm" / name)

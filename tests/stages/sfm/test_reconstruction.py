@@ -167,10 +167,10 @@ def test_ctrl_c_ends_it_within_ten_seconds_and_leaves_what_is_done(room, tmp_pat
     step = work / "scene" / ".main.partial" / "checkpoint" / "sfm"
     with command(room, work) as running:
         wait_for((step / sign).exists)
-        asked = time.monotonic()
+        requested = time.monotonic()
         running.send_signal(signal.SIGINT)
         _, errors = running.communicate(timeout=15)
-        assert time.monotonic() - asked < 10
+        assert time.monotonic() - requested < 10
     assert running.returncode == 130 and "interrupted" in errors
     assert processes_of(work) == [] and (step / sign).exists()
 
@@ -294,10 +294,10 @@ def test_photos_side_by_side_without_matches_are_found_out(finished):
     assert set(folded.silent) == {(a, b) for a, b in sound.matched if a < "00004.jpg" <= b}
     # Pairs that nobody compared tell nothing.
     assert quality.expected(model, halves, {pair[:2] for pair in halves}).silent == ()
-    told = {"photos": 8, "registered": 8, "points": 900, "error_px": 0.4, "track_length": 4.0, "parallax_deg": 20.0}
-    told |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (8,)}
+    reported = {"photos": 8, "registered": 8, "points": 900, "error_px": 0.4, "track_length": 4.0, "parallax_deg": 20.0}
+    reported |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (8,)}
     for must in (sound, folded):
-        found = quality.Quality(**told, refined=False, silent_share=must.silent_share, pairs_expected=must.count)
+        found = quality.Quality(**reported, refined=False, silent_share=must.silent_share, pairs_expected=must.count)
         assert ("fold the scene" in quality.verdict(found)[0]) == (must is folded)
 
 
@@ -408,9 +408,9 @@ def test_the_castle(data_dir, tmp_path):
 @pytest.mark.slow
 def test_the_fox_from_photos_alone_stands_as_its_file_tells(data_dir, tmp_path):
     photos = imported(data_dir / "fox" / "images", tmp_path / "p", downscale=8)
-    told = imported(data_dir / "fox", tmp_path / "t", downscale=8)
+    reported = imported(data_dir / "fox", tmp_path / "t", downscale=8)
     one = {view.name: view.world_from_camera for view in scene_of(photos).views}
-    two = {view.name: view.world_from_camera for view in scene_of(told).views}
+    two = {view.name: view.world_from_camera for view in scene_of(reported).views}
     names = sorted(one.keys() & two.keys())
     assert len(names) == 50
     angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
@@ -421,9 +421,9 @@ def test_the_fox_from_photos_alone_stands_as_its_file_tells(data_dir, tmp_path):
 @pytest.mark.slow
 def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_path):
     photos = imported(data_dir / "flower" / "images_8", tmp_path / "p", downscale=4)
-    told = imported(data_dir / "flower", tmp_path / "t", format="llff", images="images_8", downscale=4)
+    reported = imported(data_dir / "flower", tmp_path / "t", format="llff", images="images_8", downscale=4)
     one = {view.name: view.world_from_camera for view in scene_of(photos).views}
-    two = {view.name: view.world_from_camera for view in scene_of(told).views}
+    two = {view.name: view.world_from_camera for view in scene_of(reported).views}
     assert len(one) == 34
     names = sorted(one)
     angles, distances = aligned(np.array([one[name] for name in names]), np.array([two[name] for name in names]))
@@ -437,7 +437,7 @@ def test_a_child_that_cannot_load_its_libraries_is_not_blamed_on_the_photos(tmp_
         reconstruction.run_child(job_in(tmp_path, room), Context())
 
 
-def test_a_child_that_dies_is_told(tmp_path, room, monkeypatch):
+def test_a_child_that_dies_is_reported(tmp_path, room, monkeypatch):
     """An end without a word, as a crash inside COLMAP would be."""
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "sitecustomize.py").write_text(

@@ -1,4 +1,4 @@
-"""Cameras of an object that stand elsewhere, told by what their masks keep."""
+"""Cameras of an object that stand elsewhere, reported by what their masks keep."""
 
 from pathlib import Path
 
@@ -128,8 +128,15 @@ def test_masks_cut_an_object_out_or_hide_parts_of_a_room(tmp_path):
 
 
 def test_many_refuted_cameras_refuse_the_poses():
-    told = {"photos": 20, "registered": 20, "points": 900, "error_px": 0.4, "track_length": 4.0, "parallax_deg": 20.0}
-    told |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (20,)}
+    reported = {
+        "photos": 20,
+        "registered": 20,
+        "points": 900,
+        "error_px": 0.4,
+        "track_length": 4.0,
+        "parallax_deg": 20.0,
+    }
+    reported |= {"agreement": 1.0, "pairs_checked": 28, "flat_share": 0.0, "turned_share": 0.0, "models": (20,)}
     for share, refused in ((0.0, False), (0.2, False), (0.25, True)):
-        line = quality.verdict(quality.Quality(**told, refined=False, refuted_share=share))[0]
+        line = quality.verdict(quality.Quality(**reported, refined=False, refuted_share=share))[0]
         assert ("contradict the silhouettes: for 25% of the placed photos" in line) == refused and bool(line) == refused

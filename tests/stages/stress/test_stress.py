@@ -257,7 +257,7 @@ def test_weights_and_paintings_count_where_both_have_methods_that_see_one(tmp_pa
             assert len(read_baseline(path, conditions)) == 1
     with pytest.raises(UsageError, match="features 'a', now 'b', paintings 1, now 2; use the same"):
         read_baseline(path, other)
-    write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were told
+    write_baseline(path, cells_of(five(5, 20.0)), {"seeds": 5, "features": "a"})  # of before paintings were reported
     assert len(read_baseline(path, fits)) == 1
     with pytest.raises(UsageError, match="paintings missing"):
         read_baseline(path, mixed)
@@ -286,7 +286,7 @@ def test_cells_that_lack_runs_are_not_compared_nor_kept(tmp_path):
     assert path.read_bytes() == kept
 
 
-def test_cells_of_one_side_are_told_and_not_judged(tmp_path):
+def test_cells_of_one_side_are_reported_and_not_judged(tmp_path):
     path, conditions = tmp_path / "baseline.json", {"seeds": 5}
     write_baseline(path, cells_of([*five(5, 20.0), *five(5, 0.5, method="arf")]), conditions)
     held = compared(read_baseline(path, conditions), cells_of([*five(5, 20.0), *five(0, 9.0, fault="blur")]))
@@ -305,7 +305,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
     with pytest.raises(UsageError, match="other conditions: criteria missing; use the same, or write a new one"):
         read_baseline(path, conditions | {"criteria": 3})  # of before it was kept
     content = json.loads(path.read_text())
-    for spoiled in (
+    for damaged in (
         "[]",
         "{",
         json.dumps(content | {"cells": [{"method": "fit"}]}),
@@ -318,7 +318,7 @@ def test_other_conditions_and_files_that_are_none_are_refused(tmp_path):
                                ("count", 0), ("method", []))
         ),
     ):  # fmt: skip
-        path.write_text(spoiled)
+        path.write_text(damaged)
         with pytest.raises(BadInput):
             read_baseline(path, conditions)
 

@@ -16,7 +16,7 @@ def test_colors_are_a_quarter_finer_than_a_pixel_within_bounds(pixel_cells, fine
     assert new_color(config, np.random.default_rng(0), pixel_cells).finest == finest
 
 
-def test_cells_that_are_asked_for_are_taken():
+def test_cells_that_are_requested_for_are_taken():
     config = ArfConfig(style="x", levels=2, table_bits=10, finest=48)
     assert new_color(config, np.random.default_rng(0), 500.0).finest == 48
 
@@ -30,7 +30,7 @@ def test_cells_that_are_asked_for_are_taken():
         ("desrf", {"rays": "patch"}, 100, "patch"),
     ],
 )
-def test_rays_follow_from_method_and_size_unless_asked_for(method, options, side, rays):
+def test_rays_follow_from_method_and_size_unless_requested(method, options, side, rays):
     assert strategy_of(CONFIGS[method](style="x", **options), side) == rays
 
 
@@ -43,7 +43,7 @@ def test_rays_follow_from_method_and_size_unless_asked_for(method, options, side
         ("desrf", {"coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
     ],
 )
-def test_what_holds_shapes_follows_from_method_and_scene_unless_asked_for(
+def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
     method, options, closed, color, displacement, coarse
 ):
     found = settings_of(CONFIGS[method](style="x", **options), 200, closed)

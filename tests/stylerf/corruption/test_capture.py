@@ -16,7 +16,7 @@ def poses_of(count: int, seed: int = 0) -> np.ndarray:
     return np.array([camera.world_from_camera for camera in dome_cameras(count, 16, "v", seed)])
 
 
-def test_pose_noise_has_the_asked_deviations_and_keeps_rotations():
+def test_pose_noise_has_the_requested_deviations_and_keeps_rotations():
     """4,000 cameras: the deviation of 12,000 components is known to 0.65 %, its third of each axis to 1.1 %."""
     poses = poses_of(4000)
     noisy = capture.noisy_poses(poses, 0.5, 0.01, np.random.default_rng(3))

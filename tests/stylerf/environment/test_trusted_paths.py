@@ -1,4 +1,4 @@
-"""What somebody else could have written is told from what is ours."""
+"""What somebody else could have written is reported from what is ours."""
 
 import os
 import stat

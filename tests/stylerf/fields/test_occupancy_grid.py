@@ -36,17 +36,17 @@ def test_a_thin_field_is_kept_where_it_is_thicker_than_its_mean():
 
 @pytest.mark.parametrize("share", [1, 4])
 def test_refreshing_keeps_a_decaying_maximum_of_the_cells_it_looks_at(share):
-    made, asked = OccupancyGrid(4), []
+    made, requested = OccupancyGrid(4), []
 
     def rising(x):
-        asked.append(x)
+        requested.append(x)
         return x[:, 0] + 1
 
     made.refresh(rising, 1 / 50, 0, 1, 0.9)
     first = made.highest.copy()
-    cells = np.floor(asked[0] * 4).astype(int)
+    cells = np.floor(requested[0] * 4).astype(int)
     assert np.array_equal(cells, np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1))  # a point in every cell
-    np.testing.assert_allclose(first, asked[0][:, 0] + 1)
+    np.testing.assert_allclose(first, requested[0][:, 0] + 1)
     made.refresh(lambda x: np.full(len(x), 1.2, np.float32), 1 / 50, 3, share, 0.9)
     looked = made.highest != first
     start = int(np.random.default_rng(3).integers(share))
@@ -66,16 +66,16 @@ def test_a_finer_grid_knows_the_same():
 
 
 def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_grid_neither():
-    clear, asked = np.arange(64) % 3 == 0, []
+    clear, requested = np.arange(64) % 3 == 0, []
     made = OccupancyGrid(4, clear=clear)
     assert np.array_equal(made.distances == 0, ~clear)
 
     def dense(x):
-        asked.append(x)
+        requested.append(x)
         return np.full(len(x), 50, np.float32)
 
     made.refresh(dense, 1 / 50, 0, 1, 0.9)
-    assert len(asked[0]) == (~clear).sum() and np.array_equal(made.distances == 0, ~clear)
+    assert len(requested[0]) == (~clear).sum() and np.array_equal(made.distances == 0, ~clear)
     finer = made.resized(8)
     finer.highest[:] = 50
     finer.decide(1 / 50)

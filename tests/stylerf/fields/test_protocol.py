@@ -13,7 +13,7 @@ KINDS = [(kind, DensityPart) for kind in DENSITY_KINDS.values()]
 KINDS += [(kind, RestorableColor) for kind in COLOR_KINDS.values()]
 
 
-def asked_of(protocol: type) -> dict[str, list[str]]:
+def requested_of(protocol: type) -> dict[str, list[str]]:
     """Names of the arguments by method."""
     found = {}
     for one in (Part, protocol):
@@ -23,11 +23,11 @@ def asked_of(protocol: type) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize(("kind", "protocol"), KINDS, ids=lambda one: one.__name__)
-def test_a_kind_offers_all_that_is_asked_for(kind, protocol):
+def test_a_kind_offers_all_that_is_requested(kind, protocol):
     # A stylization's color never grows.
-    asked = asked_of(protocol) | ({} if kind in (HashColor, PaletteColor) else asked_of(Growing))
-    assert {"backward", "add_position_gradients", "smooth", "groups", "describe", "restore"} <= set(asked)
-    for name, arguments in asked.items():
+    requested = requested_of(protocol) | ({} if kind in (HashColor, PaletteColor) else requested_of(Growing))
+    assert {"backward", "add_position_gradients", "smooth", "groups", "describe", "restore"} <= set(requested)
+    for name, arguments in requested.items():
         assert list(inspect.signature(getattr(kind, name)).parameters) == arguments, name
     assert isinstance(kind.kind, str) and len({k.kind for k, p in KINDS if p is protocol}) == sum(
         p is protocol for _, p in KINDS

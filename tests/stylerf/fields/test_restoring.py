@@ -125,7 +125,7 @@ def test_whole_numbers_are_those_of_python_within_their_bounds(value):
     assert validation.integer({"n": 8}, "n", 0, 8) == 8
 
 
-def test_what_is_missing_is_told_by_its_name():
+def test_what_is_missing_is_reported_by_its_name():
     for given in ({}, [], None, 5):
         with pytest.raises(InvalidValue, match="rank"):
             validation.integer(given, "rank", 0, 8)

@@ -89,7 +89,7 @@ def test_the_pinhole_shows_no_blank_and_wastes_little(model):
     np.testing.assert_allclose(positions[70, 30], expected, atol=1e-4)
 
 
-def test_faults_are_told():
+def test_faults_are_reported():
     with pytest.raises(InvalidValue, match="FOV is not known"):
         distortion.from_colmap("FOV", [90.0, 90, 61, 45, 0.9])
     with pytest.raises(InvalidValue, match="takes 4 parameters, found 3"):

@@ -35,7 +35,7 @@ def turned(poses, seed=4, scale=0.3, shift=(5, 6, -7)):
     return np.array([scene_normalization.moved(pose, matrix) for pose in poses])
 
 
-def test_layouts_are_told_from_the_cameras():
+def test_layouts_are_reported_from_the_cameras():
     assert scene_normalization.decided_layout(poses_of(ring()), "").name == "unbounded"
     assert scene_normalization.decided_layout(poses_of(ring()), "transparency").name == "object"
     found = scene_normalization.decided_layout(poses_of(forward()), "")
@@ -109,10 +109,10 @@ def test_coincident_cameras_are_found_in_any_unit_and_origin(capture, scale):
 def test_a_baseline_too_small_for_the_depths_is_refused():
     poses = poses_of(forward())
     points = np.random.default_rng(0).uniform([-5, 20, -5], [5, 40, 5], (500, 3))
-    told = np.tile([17.0, 80.0], (9, 1))
-    scene_normalization.check_baseline(poses, told, points)
+    reported = np.tile([17.0, 80.0], (9, 1))
+    scene_normalization.check_baseline(poses, reported, points)
     poses[:, :3, 3] = 1e-6 * (poses[:, :3, 3] - poses[:, :3, 3].mean(0))
-    for known in ((told, None), (None, points)):
+    for known in ((reported, None), (None, points)):
         with pytest.raises(InvalidValue, match=r"one point: within .* while the nearest depth is"):
             scene_normalization.check_baseline(poses, *known)
     scene_normalization.check_baseline(poses, None, None)  # nothing tells the depths
@@ -130,10 +130,10 @@ def test_forward_layouts_of_cameras_that_have_none():
     assert np.isclose(np.linalg.det(scene_normalization.facing(rolled, 20.0)[:3, :3]), 1 / 15**3)
 
 
-def test_nearest_depth_prefers_what_is_told_then_points():
-    poses, told = poses_of(forward()), np.tile([17.0, 80.0], (9, 1))
+def test_nearest_depth_prefers_what_is_reported_then_points():
+    poses, reported = poses_of(forward()), np.tile([17.0, 80.0], (9, 1))
     points = np.random.default_rng(0).uniform([-5, 20, -5], [5, 40, 5], (500, 3))
-    assert scene_normalization.nearest_depth(poses, told, points)[0] == 17
+    assert scene_normalization.nearest_depth(poses, reported, points)[0] == 17
     near, known = scene_normalization.nearest_depth(poses, None, points)
     assert 22.5 < near < 23.5 and "points" in known  # cameras stand at y = -3, the points begin at y = 20
     assert "baseline" in scene_normalization.nearest_depth(poses, None, None)[1]

@@ -1,4 +1,4 @@
-"""Whether Triton's kernels can run here, as far as that can be told without a GPU."""
+"""Whether Triton's kernels can run here, as far as that can be reported without a GPU."""
 
 import sys
 

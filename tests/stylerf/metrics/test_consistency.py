@@ -78,7 +78,7 @@ def test_a_wrong_pose_shows():
     assert pair_consistency(a, lied).rmse > 20 * pair_consistency(a, b).rmse
 
 
-def test_only_the_pixels_asked_about_count():
+def test_only_the_pixels_requested_about_count():
     a, b = see(camera_at(), PLANE), see(camera_at(x=0.1), PLANE)
     left = np.zeros((48, 64), bool)
     left[:, :32] = True

@@ -117,7 +117,7 @@ def test_consistency_by_the_fields_flow_agrees_with_that_by_depth():
     assert nothing.error is None and nothing.share == 0
 
 
-def test_only_pixels_asked_about_count():
+def test_only_pixels_requested_about_count():
     a, b = see(camera_at(), PLANE), see(camera_at(x=0.1), PLANE)
     flows = field_flow(a, b.camera), field_flow(b, a.camera)
     left = np.zeros((48, 64), bool)

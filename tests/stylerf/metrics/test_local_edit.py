@@ -67,7 +67,7 @@ def lab(rgb) -> np.ndarray:
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-def test_change_is_the_mean_over_the_pixels_asked_for():
+def test_change_is_the_mean_over_the_pixels_requested():
     found = mean_change(A, B, blob())
     absolute, difference = [], []
     for row, column in np.argwhere(blob()):

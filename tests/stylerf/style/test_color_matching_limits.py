@@ -15,7 +15,7 @@ def luma(image: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("level", [0.5, 1.0, 0.0])
-def test_a_blank_sheet_gets_the_spread_asked_for(level):
+def test_a_blank_sheet_gets_the_spread_requested(level):
     spread = spread_at_least(torch.full((3, 8, 10), level), 0.08)
     assert luma(spread).std(correction=0) == pytest.approx(0.08, rel=1e-5)
     assert luma(spread).mean() == pytest.approx(min(max(level, 0.08), 0.92), rel=1e-5)
@@ -71,7 +71,7 @@ def nearly_gray(count: int, hue: float) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("most", [2.0, 4.0])
-def test_no_axis_of_a_nearly_gray_scene_is_stretched_further_than_asked(most):
+def test_no_axis_of_a_nearly_gray_scene_is_stretched_further_than_requested(most):
     content, painting = nearly_gray(4000, 0.01), picture(30, 30, 5)
     axes = torch.linalg.eigh(color_statistics(content)[1])[1]
     free = match_colors(content, painting.flatten(1).T)

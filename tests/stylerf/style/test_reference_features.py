@@ -36,19 +36,19 @@ def test_style_is_the_look_that_the_reference_has_where_its_content_is():
     keys = [np.concatenate(p) for p in zip(*(rows(made.extractor, t.photo) for t in templates()))]
     looks = [np.concatenate(p) for p in zip(*(rows(made.extractor, t.stylized) for t in templates()))]
     expected = 0.0
-    for asked, seen, key, look in zip(rows(made.extractor, photo), rows(made.extractor, render), keys, looks):
+    for requested, seen, key, look in zip(rows(made.extractor, photo), rows(made.extractor, render), keys, looks):
         total = 0.0
-        for i in range(len(asked)):
-            j = int(np.argmax(key @ asked[i]))
+        for i in range(len(requested)):
+            j = int(np.argmax(key @ requested[i]))
             total += 1 - float(seen[i] @ look[j])
-        expected += total / len(asked)
+        expected += total / len(requested)
     loss, parts = made(render, made.wanted(photo))
     assert parts["style"] == pytest.approx(expected, rel=1e-5) and expected > 0.05
     together = 0.7 * parts["style"] + 0.2 * parts["content"] + 0.3 * parts["variation"] + 5 * parts["color"]
     assert float(loss) == pytest.approx(together, rel=1e-5)
 
 
-def test_the_reference_itself_is_asked_to_be_its_stylized_picture():
+def test_the_reference_itself_is_requested_to_be_its_stylized_picture():
     one = templates()[:1]
     made = objective(one, StyleWeights(1, 0, 0, 5))
     wanted = made.wanted(one[0].photo)
@@ -95,7 +95,7 @@ def test_coarse_colors_are_those_of_the_likest_cell_unless_it_is_strange():
     assert not strange.trusted.any() and made(photo, strange)[1]["color"] == 0 and UNRELATED < 1
 
 
-def test_where_the_object_is_not_nothing_is_sought_found_or_asked():
+def test_where_the_object_is_not_nothing_is_sought_found_or_requested():
     """The reference's right half is no object: its looks there must not be taken over, however like the content is."""
     alpha = torch.zeros(HEIGHT, WIDTH)
     alpha[:, : WIDTH // 2] = 1

@@ -26,7 +26,7 @@ def test_parts_that_do_not_fit_are_halved_and_none_is_left_out_or_done_twice():
     assert in_parts(0, 10, work) == []
 
 
-def test_what_does_not_fit_in_the_smallest_part_is_told():
+def test_what_does_not_fit_in_the_smallest_part_is_reported():
     tried = []
 
     def work(begin: int, end: int) -> None:

@@ -80,16 +80,16 @@ def test_restored_moments_go_on_bit_by_bit():
     assert np.array_equal(three_more(adam), three_more(other)) and other.steps == 6
 
 
-def test_a_leap_is_shortened_to_what_is_usual_and_the_direction_stays():
+def test_a_skip_is_shortened_to_what_is_usual_and_the_direction_stays():
     """Gradients split over two chunks; lengths by another norm."""
     whole = gradients_of(1, 30)
     parts = np.stack([0.25 * whole, 0.75 * whole])
     usual = clipped(parts, 2.0, 0.0, 0)
     assert usual == pytest.approx(np.linalg.norm(whole), rel=1e-5)  # the first sets it, and is not touched
     np.testing.assert_array_equal(parts[1], 0.75 * whole)
-    leap = 50 * parts
-    after = clipped(leap, 2.0, usual, NORM_STEPS)
-    np.testing.assert_allclose(leap.sum(0), 2.0 * whole, rtol=1e-5)
+    skip = 50 * parts
+    after = clipped(skip, 2.0, usual, NORM_STEPS)
+    np.testing.assert_allclose(skip.sum(0), 2.0 * whole, rtol=1e-5)
     assert after == pytest.approx(0.9 * usual + 0.1 * 2.0 * usual, rel=1e-5)
     small = 1.5 * parts
     clipped(small, 2.0, usual, NORM_STEPS)
@@ -106,9 +106,9 @@ def test_what_is_usual_is_learned_before_anything_is_shortened():
         usual = clipped(one, 2.0, usual, step)
         np.testing.assert_array_equal(one, np.float32(length / 2))
     assert usual == pytest.approx(np.mean(lengths), rel=1e-5)
-    leap = np.full((1, 4), 50.0, np.float32)
-    clipped(leap, 2.0, usual, NORM_STEPS)
-    assert np.linalg.norm(leap) == pytest.approx(2 * usual, rel=1e-5)
+    skip = np.full((1, 4), 50.0, np.float32)
+    clipped(skip, 2.0, usual, NORM_STEPS)
+    assert np.linalg.norm(skip) == pytest.approx(2 * usual, rel=1e-5)
 
 
 def test_a_gradient_of_nan_is_no_step_and_without_a_clip_nothing_changes():

@@ -71,7 +71,7 @@ def stays(places: torch.Tensor, full: np.ndarray, cells: int) -> list[torch.Tens
 
 @pytest.mark.parametrize("cells", [8, 32])
 @pytest.mark.parametrize("kind", SPACES)
-def test_no_leap_passes_into_an_occupied_cell(kind, cells):
+def test_no_skip_passes_into_an_occupied_cell(kind, cells):
     """A stay of more than a step in occupied cells is sampled, all of it within a step of a sample."""
     space, rays, step = SPACES[kind], rays_into(SPACES[kind], 400, 13), 1 / 64
     full, occupancy = clumps(cells, 14), OccupancyGrid(cells)
@@ -97,7 +97,7 @@ def test_no_leap_passes_into_an_occupied_cell(kind, cells):
 
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_rays_along_a_side_of_a_box_leap_as_their_neighbors_do(axis, zero):
+def test_rays_along_a_side_of_a_box_skip_as_their_neighbors_do(axis, zero):
     """A ray that does not move along an axis at all never leaves its cells on that axis."""
     space, step, cells = SPACES["box"], 1 / 64, 16
     occupancy = OccupancyGrid(cells)

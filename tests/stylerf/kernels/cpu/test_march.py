@@ -165,7 +165,7 @@ def test_rays_that_miss_the_box_or_have_no_length_have_no_samples():
     assert nothing.total == 0
 
 
-def test_samples_on_the_very_sides_are_asked_at_zero_and_one():
+def test_samples_on_the_very_sides_are_requested_at_zero_and_one():
     rays = along_x(2, y=1.0, z=1.0, jitter=0.0)
     made = density(8)
     samples = march(made, UNIT_BOX, rays, min_transmittance=0.0)

@@ -58,7 +58,7 @@ def test_an_opaque_ray_ends_at_the_sample_that_stops_it(device):
     assert (limited.ends - limited.starts).tolist() == [3, 1]
 
 
-def test_corners_and_sides_are_asked_at_zero_and_one(device):
+def test_corners_and_sides_are_requested_at_zero_and_one(device):
     made = density(8)
     corners = np.array(list(np.ndindex(2, 2, 2)) + [(0.5, 1, 0)], np.float32)
     found = device_field(made, device).density.sigma(torch.from_numpy(corners).to(device))

@@ -82,16 +82,16 @@ def gradients_taken(made: EditTrainer) -> list[np.ndarray]:
 @pytest.mark.parametrize("phase", ["palette", "style", "pruned"])
 def test_a_step_learns_the_gradients_that_the_cpu_finds(phase, device):
     both = [trainer(where, style=True) for where in (None, device)]
-    learned, told = [gradients_taken(made) for made in both], []
+    learned, reported = [gradients_taken(made) for made in both], []
     for made in both:
         made.state.phase = phase
         if phase == "pruned":
             made._module.active[1] = False
         made.step()
-        told.append(made.engine.settle())
-    assert told[0].keys() == told[1].keys() and ("style" in told[0]) == (phase != "palette")
-    for name, value in told[0].items():
-        assert told[1][name] == pytest.approx(value, rel=1e-4, abs=1e-7), name
+        reported.append(made.engine.settle())
+    assert reported[0].keys() == reported[1].keys() and ("style" in reported[0]) == (phase != "palette")
+    for name, value in reported[0].items():
+        assert reported[1][name] == pytest.approx(value, rel=1e-4, abs=1e-7), name
     for theirs, ours in zip(*learned):
         assert np.abs(theirs).max() > 0
         close(ours, theirs, 2e-4)
@@ -103,7 +103,7 @@ def agree(made: EditTrainer, expected: EditTrainer) -> None:
     begun, one, other = trainer().module, made.module, expected.module
     moved = np.abs(other.values - begun.values).mean()
     assert np.abs(one.values - other.values).mean() < 1e-2 * moved
-    first, second, plain = (each.colors(*asked()) for each in (one, other, begun))
+    first, second, plain = (each.colors(*requested()) for each in (one, other, begun))
     assert np.abs(first - second).mean() < 1e-2 * np.abs(second - plain).mean()
 
 
@@ -137,16 +137,16 @@ def test_an_edit_is_learned_to_its_end_on_a_device(device):
     assert figures[0]["shares"] == pytest.approx(figures[1]["shares"], abs=2e-3)
     assert figures[0]["psnr"] == pytest.approx(figures[1]["psnr"], abs=0.05)
     # What the device has learned is in the module that is kept.
-    np.testing.assert_allclose(made.module.colors(*asked()), made.evaluator.colors(*asked()), atol=1e-5)
+    np.testing.assert_allclose(made.module.colors(*requested()), made.evaluator.colors(*requested()), atol=1e-5)
 
 
-def asked() -> tuple[np.ndarray, np.ndarray]:
+def requested() -> tuple[np.ndarray, np.ndarray]:
     view = view_of(1, side=24)
     return view.x, view.directions
 
 
 @pytest.mark.slow
-def test_a_loss_that_is_no_number_is_told_on_a_device_too(device):
+def test_a_loss_that_is_no_number_is_reported_on_a_device_too(device):
     from stylerf.errors import Diverged
 
     made = trainer(device)

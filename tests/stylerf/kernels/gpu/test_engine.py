@@ -167,7 +167,7 @@ def test_what_is_learned_comes_back_and_moments_with_it(bank, device):
     assert torch.equal(other.color_adam.second, engine.color_adam.second) and other.density_adam.steps == 1
 
 
-def test_both_parts_are_clipped_where_that_is_asked_for(bank, device):
+def test_both_parts_are_clipped_where_that_is_requested(bank, device):
     engine = engine_on(device, bank, thin_field(), clip=1.5)
     engine.learn(batch())
     for adam in (engine.density_adam, engine.color_adam):
@@ -213,7 +213,7 @@ def test_photos_of_another_exposure_are_drawn_as_on_the_cpu(bank, device):
     np.testing.assert_allclose(found.cpu().numpy(), expected, atol=1e-6)
 
 
-def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
+def test_lack_of_memory_is_reported_as_the_loop_knows_it(bank, device, monkeypatch):
     engine = engine_on(device, bank, thin_field())
 
     def full(*arguments, **named):
@@ -228,7 +228,7 @@ def test_lack_of_memory_is_told_as_the_loop_knows_it(bank, device, monkeypatch):
 
 
 def test_lack_of_memory_once_processes_have_summed_ends_the_run(bank, device, monkeypatch):
-    """A step begun anew would sum again, while the other processes are at the next one."""
+    """A step begun again would sum again, while the other processes are at the next one."""
     engine = engine_on(device, bank, thin_field())
     monkeypatch.setattr(engine, "_add_gradients", lambda batch, sums: None)
 
@@ -240,14 +240,14 @@ def test_lack_of_memory_once_processes_have_summed_ends_the_run(bank, device, mo
         engine.learn(batch())
 
 
-def test_a_loop_is_told_of_a_step_so_many_later_however_fast_the_device_is(bank, device, monkeypatch):
+def test_a_loop_is_reported_of_a_step_so_many_later_however_fast_the_device_is(bank, device, monkeypatch):
     """What has come by chance would give the next batches another size in every run."""
     engine = engine_on(device, bank, thin_field())
     monkeypatch.setattr(
         engine, "_add_gradients", lambda given, sums: sums.copy_(torch.tensor([0.0, 10.0 * (given.step + 1), 0.0]))
     )
-    told = [engine.learn(batch(step=step, rays=10)).samples_per_ray for step in range(BEHIND + 3)]
-    assert told == [0.0] * BEHIND + [1.0, 2.0, 3.0]
+    reported = [engine.learn(batch(step=step, rays=10)).samples_per_ray for step in range(BEHIND + 3)]
+    assert reported == [0.0] * BEHIND + [1.0, 2.0, 3.0]
 
 
 def test_processes_agree_about_what_is_occupied(bank, device):

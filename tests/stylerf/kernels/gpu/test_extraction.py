@@ -50,15 +50,15 @@ def test_a_view_shows_the_same_of_the_region(walked):
     field, camera, ends = walked
     photo = box_photo(camera).astype(np.float32) / 255
     region, settings = Region(*halves()), Extraction(0.5, 0.8)
-    asked = []
+    requested = []
 
     def ends_of(camera, grids):
-        asked.extend(grids)
+        requested.extend(grids)
         return [each.copy() for each in ends[:3]]
 
     expected = seen_of_view(field, camera, photo, region, settings, 2, 1)
     found = seen_of_view(field, camera, photo, region, settings, 2, 1, ends_of)
-    assert asked[0] is region.edit and asked[1] is region.grow
+    assert requested[0] is region.edit and requested[1] is region.grow
     assert len(expected.edit) > 5 and np.array_equal(found.edit.pixels, expected.edit.pixels)
     for name in ("x", "along", "directions", "target", "weight", "inside", "depth", "through", "transition", "edges"):
         np.testing.assert_allclose(getattr(found.edit, name), getattr(expected.edit, name), atol=2e-4, err_msg=name)

@@ -157,7 +157,7 @@ def _shape(part) -> tuple:
     return (part.levels,) if part.kind == "hash" else (part.grid,)
 
 
-def test_kinds_without_kernels_are_told_in_one_line():
+def test_kinds_without_kernels_are_reported_in_one_line():
     from stylerf.fields.gpu.field import unsupported
     from tests.stylerf.small import SPACES, field_of
 

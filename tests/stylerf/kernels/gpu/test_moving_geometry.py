@@ -40,12 +40,12 @@ def made_on(device, clip: float = 0.0) -> Deformer:
 
 def pushed(made: Deformer, steps: int, weight: float = 0.3, smoothness: float = 0.5) -> list[float]:
     """Steps along given gradients of the grid; what they tell."""
-    told, count = [], 3 * VERTICES**3
+    reported, count = [], 3 * VERTICES**3
     for step in range(steps):
         given = np.random.default_rng([5, step]).normal(size=count).astype(np.float32)
         made.gradients += torch.from_numpy(given).to(made.device) if made.gradients.ndim == 1 else given
-        told.append(made.step(1e-3, weight, smoothness))
-    return told
+        reported.append(made.step(1e-3, weight, smoothness))
+    return reported
 
 
 # -- the deformer ---------------------------------------------------------------------------------------------------
@@ -64,7 +64,7 @@ def test_steps_of_the_network_are_the_cpus(device, monkeypatch):
     monkeypatch.setattr(deformer, "REFRESH_EVERY", 2)
     cpu, gpu = made_on(None), made_on(device)
     assert np.array_equal(gpu.field.displacement, cpu.field.displacement) or device.type == "cuda"
-    expected, told = pushed(cpu, 3), pushed(gpu, 3)
+    expected, reported = pushed(cpu, 3), pushed(gpu, 3)
     before, stale = gpu.field.displacement.copy(), gpu.deformation.values.copy()
     gpu.collect()
     # What has been learned came back when it was asked for, not before.
@@ -74,7 +74,7 @@ def test_steps_of_the_network_are_the_cpus(device, monkeypatch):
     assert largest > 1e-3
     np.testing.assert_allclose(gpu.field.displacement, cpu.field.displacement, atol=1e-4 * largest)
     if device.type == "cpu":
-        np.testing.assert_allclose(told, expected, rtol=1e-4)
+        np.testing.assert_allclose(reported, expected, rtol=1e-4)
     # Looked at after two of the three steps: where the grid had brought it by then.
     assert np.array_equal(gpu.field.occupancy.distances, cpu.field.occupancy.distances)
 
@@ -155,9 +155,9 @@ def test_the_initialization_is_the_cpus(device):
     cpu, gpu = fitter_on(None), fitter_on(device)
     assert gpu.state.before == pytest.approx(cpu.state.before, abs=1e-3)
     rest = cpu.field.displacement.copy()
-    told = [(cpu.step(), gpu.step()) for _ in range(2)]
+    reported = [(cpu.step(), gpu.step()) for _ in range(2)]
     if device.type == "cpu":
-        np.testing.assert_allclose([b for _, b in told], [a for a, _ in told], rtol=2e-4)
+        np.testing.assert_allclose([b for _, b in reported], [a for a, _ in reported], rtol=2e-4)
     data, arrays = saved(gpu)
     moved = np.abs(cpu.field.displacement - rest).max()
     assert moved > 1e-4

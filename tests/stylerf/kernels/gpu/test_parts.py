@@ -35,7 +35,7 @@ def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(devi
     assert again.steps == 3 and torch.equal(again.second, gpu.second)
 
 
-def test_processes_that_train_together_are_told_of_the_same_step(device):
+def test_processes_that_train_together_are_reported_of_the_same_step(device):
     from stylerf.training.common.async_readback import BEHIND, AsyncReadback
 
     readback = AsyncReadback(device, 1, lambda sums, note: (sums[0], note), None, in_step=True)
@@ -54,7 +54,7 @@ def test_a_gradient_of_nan_is_no_zero(device):
     assert made.values.isnan().tolist() == [k == 3 for k in range(16)]
 
 
-def test_a_leap_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
+def test_a_skip_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
     from stylerf.training.common.adam_gpu import GpuAdam
 
     generator, n = np.random.default_rng(1), 300

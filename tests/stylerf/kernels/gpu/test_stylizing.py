@@ -71,8 +71,8 @@ def coarse_walks(monkeypatch):
 @pytest.mark.slow
 def test_a_stylization_that_bends_learns_the_cpus_gradients_on_a_device(device, coarse_walks):
     """Of colors and of the grid, in the first step of the style phase."""
-    asked = ASKED | {"match": "none", "strategy": "deferred"}
-    expected, found = on_cpu.stylizer(deform=True, **asked), stylizer_on(device, deform=True, **asked)
+    requested = ASKED | {"match": "none", "strategy": "deferred"}
+    expected, found = on_cpu.stylizer(deform=True, **requested), stylizer_on(device, deform=True, **requested)
     grids = []
     for made in (expected, found):
         made.next_phase()
@@ -94,8 +94,8 @@ def test_a_stylization_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_t
     device, coarse_walks, monkeypatch
 ):
     monkeypatch.setattr(deformer, "REFRESH_EVERY", 3)
-    asked = ASKED | {"steps": 3, "strategy": "dilated", "remember": True, "deform_rate": 0.02}
-    made, kept = stylizer_on(device, deform=True, **asked), []
+    requested = ASKED | {"steps": 3, "strategy": "dilated", "remember": True, "deform_rate": 0.02}
+    made, kept = stylizer_on(device, deform=True, **requested), []
     made.run(lambda now: kept.append(saved(now)) if len(kept) < 3 else None)
     assert made.state.phase == "done" and made.scene.field.color_map is not None and made.scene.deformer.taken == 3
     # The field that is kept has what the device has learned since the last checkpoint, and is occupied where the last
@@ -104,7 +104,7 @@ def test_a_stylization_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_t
     assert np.abs(made.scene.field.color.values - before["color"]).max() > 1e-3
     assert np.abs(made.scene.problem.deformation.values - before["deform.values"]).max() > 1e-3
     assert made.scene.field.occupancy is made.scene.deformer.field.occupancy
-    again = on_cpu.stylizer(deform=True, **asked)
+    again = on_cpu.stylizer(deform=True, **requested)
     again.resume(*kept[2])
     again.run()
     assert again.scene.deformer.taken == 3 and again.state.step == 3

@@ -8,7 +8,7 @@ from tests.stylerf.training.running import assert_same_bits, result_of
 from tests.stylerf.training.stylize.test_arf import stylizer
 
 
-def test_the_first_that_fit_are_kept_and_the_others_made_anew():
+def test_the_first_that_fit_are_kept_and_the_others_made_again():
     made = []
 
     def make(view: int) -> np.ndarray:

@@ -67,7 +67,7 @@ def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
         ("no GPU here", "no GPU here", "^no GPU here$"),
     ],
 )
-def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_other(own, other, message):
+def test_processes_with_unlike_devices_are_reported_so_before_they_wait_for_each_other(own, other, message):
     ranks, store = DistributedProcesses.__new__(DistributedProcesses), distributed.HashStore()
     ranks._store, ranks.place, ranks.count = store, 0, 2
     store.set("stylerf device 1", other)
@@ -78,7 +78,7 @@ def test_processes_with_unlike_devices_are_told_so_before_they_wait_for_each_oth
     ranks._compare("cpu")
 
 
-def test_a_gpu_that_cannot_be_used_is_told_to_the_others(monkeypatch):
+def test_a_gpu_that_cannot_be_used_is_reported_to_the_others(monkeypatch):
     def refused(number):
         raise RuntimeError(f"CUDA error: invalid device ordinal {number}\nmore of it")
 

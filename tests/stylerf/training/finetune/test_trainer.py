@@ -189,14 +189,14 @@ def test_a_resumed_run_ends_with_the_same_bits(fitted, edited):
         np.testing.assert_array_equal(second.field.arrays()[name], values, err_msg=name)
 
 
-def test_steps_that_a_device_has_not_told_of_are_no_part_of_the_curve(fitted, edited):
+def test_steps_that_a_device_has_not_reported_of_are_no_part_of_the_curve(fitted, edited):
     one = tuner(fitted, edited, steps=20)
-    learn, asked = one.engine.learn, []
+    learn, requested = one.engine.learn, []
 
     def late(batch) -> dict[str, float]:
-        asked.append(batch)
+        requested.append(batch)
         found = learn(batch)
-        return found if len(asked) > 12 else {}
+        return found if len(requested) > 12 else {}
 
     one.engine.learn = late
     one.run()

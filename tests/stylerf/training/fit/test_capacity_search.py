@@ -72,12 +72,12 @@ def test_a_pruning_that_loses_little_stays_and_one_that_loses_more_is_refused_fo
 
 
 @pytest.mark.parametrize(("gain", "size", "asked_back"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
-def test_a_level_that_was_worth_its_climb_is_not_asked_back(gain, size, asked_back):
+def test_a_level_that_was_worth_its_search_is_not_requested_back(gain, size, requested_back):
     search = search_at(2)
     search.begin(GROW, 29.0, 500, 0.4)
     assert search.judge(29.0 + gain, size)[0] and search.state.level == 3
     search.state.rejected = ["density ranks"]
-    assert search.pruning_due(0.6) == ("resolution" if asked_back else "color ranks")
+    assert search.pruning_due(0.6) == ("resolution" if requested_back else "color ranks")
     # A search that is dropped says nothing about the level below it.
     search.state.level, search.state.level_gain, search.state.growth_ended = 2, 0.3, False
     search.begin(GROW, 30.0, 500, 0.4)
@@ -106,7 +106,7 @@ def test_a_level_is_not_dropped_after_next_to_no_part_of_the_budget():
     assert not search.extended(30.2, 2000, 0.038) and search.judge(30.2, 2000)[0]  # what is plain is not waited for
 
 
-def test_a_capacity_that_was_asked_for_is_on_no_trial():
+def test_a_capacity_that_was_requested_for_is_on_no_trial():
     """What it has grown to stands at the next look: a fall leads back to it, not to the level before."""
     search = search_at(2, force_growth=True)
     search.begin(GROW, 30.0, 1000, 0.4)

@@ -49,7 +49,7 @@ def test_true_surfaces_tell_the_exposures():
 
     found = Exposures(bank, 0).judged(rendered, np.zeros(len(STOPS)))
     np.testing.assert_allclose(found, STOPS - STOPS.mean(), atol=0.06)
-    # Nothing solid anywhere: nothing is told.
+    # Nothing solid anywhere: nothing is reported.
     nothing = Exposures(bank, 0).judged(lambda origins, _: np.zeros((len(origins), 5)), found)
     np.testing.assert_allclose(nothing, found, atol=1e-12)
 
@@ -83,8 +83,8 @@ def test_a_fit_brings_photos_to_one_exposure_and_gains_by_it():
     reached = {}
     for exposure in ("off", "auto"):
         said: list[str] = []
-        asked = settings(60, exposure=exposure, background="none")
-        fitter = Fitter(*uneven_wall(), 2, asked, 0, 1, said.append)
+        requested = settings(60, exposure=exposure, background="none")
+        fitter = Fitter(*uneven_wall(), 2, requested, 0, 1, said.append)
         fitter.run()
         reached[exposure] = fitter.held_out_psnr()
     assert reached["auto"] > reached["off"] + 0.8
@@ -108,7 +108,7 @@ def test_photos_of_one_exposure_are_taken_as_they_are(exposure):
     assert np.array_equal(fitter.field.color.values, plain.field.color.values)
 
 
-def test_few_photos_are_judged_where_that_is_asked_for_alone():
+def test_few_photos_are_judged_where_that_is_requested_for_alone():
     for exposure, judged in (("auto", False), ("on", True)):
         fitter = box_fitter(20, bank=uneven_bank(), exposure=exposure)
         fitter.run()

@@ -92,15 +92,15 @@ def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
 
 
 def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
-    asked, seen = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
+    requested, seen = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
 
     def on_step(now_: Fitter) -> None:
         seen.setdefault((now_._judging, now_.state.level), now_.progress)
 
-    asked.run(on_step)
+    requested.run(on_step)
     # What was asked for stays from the first look on.
     assert seen == {(True, 0): 1 / 400, (True, 1): 0.25, (True, 2): 0.5, (False, 2): 201 / 400}
-    assert [point["held_out"] for point in asked.state.curve] == [p["step"] <= 201 for p in asked.state.curve]
+    assert [point["held_out"] for point in requested.state.curve] == [p["step"] <= 201 for p in requested.state.curve]
     grown = box_fitter(800, min_gain=-9.0)
     grown.run()
     assert 0.38 <= next(p["step"] for p in grown.state.curve if not p["held_out"]) / 800 <= 0.44
@@ -109,20 +109,20 @@ def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
     assert all(point["held_out"] for point in never.state.curve[:-1])
 
 
-def test_where_no_view_is_held_out_decisions_are_told_as_of_training_views():
+def test_where_no_view_is_held_out_decisions_are_reported_as_of_training_views():
     fitter = box_fitter(300, held_out=0, min_gain=-9.0)
     fitter.run()
     assert fitter.state.decisions and all("training views gained" in d for d in fitter.state.decisions[:1])
 
 
-def test_a_capacity_that_was_asked_for_is_reached_whatever_it_gains():
+def test_a_capacity_that_was_requested_for_is_reached_whatever_it_gains():
     fitter = box_fitter(300, min_gain=50.0, force_growth=True)
     fitter.run()
     assert fitter.field.density.size.max() == 16 and all("as requested" in d for d in fitter.state.decisions)
 
 
 @pytest.mark.parametrize("steps", [60, 250])
-def test_a_short_fit_shares_its_steps_among_the_levels_to_what_was_asked_for(steps):
+def test_a_short_fit_shares_its_steps_among_the_levels_to_what_was_requested(steps):
     fitter, level_gain = box_fitter(steps, force_growth=True), {}
     fitter.run(lambda now_: level_gain.setdefault(now_.state.level, now_.state.step))
     assert level_gain == {0: 1, 1: math.ceil(steps / 3), 2: math.ceil(2 * steps / 3)}
@@ -143,7 +143,7 @@ def test_where_every_level_has_its_least_steps_nothing_of_that_changes(steps):
     assert level_gain == {0: 1, 1: MIN_STEPS_PER_LEVEL, 2: 2 * MIN_STEPS_PER_LEVEL}
 
 
-def test_what_is_told_is_the_quality_of_the_field_that_stands():
+def test_what_is_reported_is_the_quality_of_the_field_that_stands():
     """Neither of one on trial that was refused nor of one that was left behind by a return."""
     fitter, seen = box_fitter(300, min_gain=50.0, level_ends=(0.34, 0.68), levels=LEVELS[:2]), []
 

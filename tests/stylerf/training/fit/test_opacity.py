@@ -58,7 +58,7 @@ def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():
         assert abs(coverage_gradient(np.float32([a]), np.float32([w]), 1 / 12, 1)[0] - noisy) < 1e-3
 
 
-def test_pale_matter_is_told_from_a_white_background():
+def test_pale_matter_is_reported_from_a_white_background():
     """A pale ball before white: where colors alone are asked for, half a ball is nearly as good as a whole one."""
     cameras = dome(8, 1, 24)
     bank = RayDataset(cameras, [np.maximum(ball_photo(camera), np.uint8([200, 200, 200, 0])) for camera in cameras])

@@ -89,7 +89,7 @@ def test_a_fit_never_looks_there_while_it_grows_and_resumes():
     assert clear.mean() > 0.5 and occupied.any() and not (occupied & clear).any()
 
 
-def test_a_fit_that_is_not_asked_to_or_has_no_transparency_looks_everywhere():
+def test_a_fit_that_is_not_requested_to_or_has_no_transparency_looks_everywhere():
     assert box_fitter(10, bank=ball_bank()).field.occupancy.clear is None
     cameras = dome(12, 1, 24)
     opaque = RayDataset(cameras, [ball_photo(camera)[..., :3].copy() for camera in cameras])

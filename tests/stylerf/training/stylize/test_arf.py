@@ -268,7 +268,7 @@ def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monke
 
 
 @pytest.mark.parametrize("match", ["none", "before", "after", "both"])
-def test_colors_are_matched_when_asked_for(match):
+def test_colors_are_matched_when_requested(match):
     made = stylizer(match=match, steps=3)
     changed = [not np.array_equal(a, b) for a, b in zip(made.scene.photos, stylizer(match="none").scene.photos)]
     assert all(changed) == (match in ("before", "both"))
@@ -321,7 +321,7 @@ def test_a_view_is_first_remembered_as_it_looked_at_rest():
 
 
 def test_large_strokes_come_first():
-    """The coarse share of the steps takes features at half the size; the photos' are taken anew after it."""
+    """The coarse share of the steps takes features at half the size; the photos' are taken again after it."""
     made, scales, contents = stylizer(steps=4, coarse=0.5, match="none"), [], []
 
     def look(now: StylizationTrainer) -> None:

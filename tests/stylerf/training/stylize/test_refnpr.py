@@ -203,8 +203,11 @@ def test_of_a_part_what_lies_beside_it_keeps_its_colors_to_the_bit():
         assert after[inside].mean() < 0.5 * before[view][inside].mean()
         old, new = (render_view(field, one.scene.cameras[view], threads=1) for field in (fitted, one.scene.field))
         assert np.array_equal(new.rgb[part.reshape(HEIGHT, WIDTH) == 0], old.rgb[part.reshape(HEIGHT, WIDTH) == 0])
-    part, asked = one.scene.coverage(1), one.method.references[1]
-    assert np.array_equal(asked[part == 0], one.scene.photos[1][part == 0]) and np.abs(asked[part > 0.999]).max() < 0.01
+    part, requested = one.scene.coverage(1), one.method.references[1]
+    assert (
+        np.array_equal(requested[part == 0], one.scene.photos[1][part == 0])
+        and np.abs(requested[part > 0.999]).max() < 0.01
+    )
     assert 0.5 < one.method.registered_share <= 1
 
 

@@ -64,7 +64,7 @@ def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
     assert np.abs(expected - rgb).max() > 0.05
 
 
-def test_in_one_turn_a_picture_is_painted_on_and_in_the_next_anew():
+def test_in_one_turn_a_picture_is_painted_on_and_in_the_next_again():
     """What is rendered does not change while pictures are painted: begun from it again, a visit would be the last."""
     one = alternating(match="none", steps=0)
     one.scene.settings = replace(one.settings, seconds=100.0)

@@ -67,7 +67,7 @@ def test_what_it_goes_back_to_is_the_kept_state_to_the_bit():
     assert_same_bits(result_of(one)[1], result_of(other)[1])
 
 
-def test_what_was_counted_and_told_since_is_forgotten():
+def test_what_was_counted_and_reported_since_is_forgotten():
     one = poisoned({11}, rollbacks=1, steps=14)
     plain = one.method.step
 
