@@ -108,7 +108,7 @@ def test_photos_of_one_exposure_are_taken_as_they_are(exposure):
     assert np.array_equal(fitter.field.color.values, plain.field.color.values)
 
 
-def test_few_photos_are_judged_where_that_is_requested_for_alone():
+def test_few_photos_are_judged_only_on_request():
     for exposure, judged in (("auto", False), ("on", True)):
         fitter = box_fitter(20, bank=uneven_bank(), exposure=exposure)
         fitter.run()
@@ -129,7 +129,7 @@ def test_every_figure_that_is_compared_moves_with_the_photos():
     state, before = fitter.state, fitter.held_out_psnr()
     state.best, state.unpruned, state.trial = 30.0, 31.0, Trial("grow", 29.0, LEVELS[0], 1000)
     fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(-1, 1, len(stops))
-    after = fitter._balance(before)
+    after = fitter._balance(fitter.exposures, before)
     assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1
     assert np.array([state.best - 30, state.unpruned - 31, state.trial.before - 29]) == pytest.approx(after - before)
 
