@@ -47,7 +47,7 @@ def test_rows_are_cells_by_scene_and_made_scenes_are_run_once(commands, tmp_path
     assert report["missing"][1]["work"] == "fern" and "--methods fit arf --quick --seeds 5" in report["command"]
 
 
-def test_faults_that_are_requested_for_are_those_that_run(commands, tmp_path):
+def test_faults_that_are_requested_are_those_that_run(commands, tmp_path):
     stress.main([str(tmp_path / "o.json"), "lego", "fern", "--faults", "thin", "blur", "--quick"])
     stress.main([str(tmp_path / "o.json"), "lego", "fern", "--faults", "thin"])
     faults = [one[one.index("--faults") + 1 : one.index("--remedies")] for one in commands]

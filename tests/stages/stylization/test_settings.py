@@ -16,7 +16,7 @@ def test_colors_are_a_quarter_finer_than_a_pixel_within_bounds(pixel_cells, fine
     assert new_color(config, np.random.default_rng(0), pixel_cells).finest == finest
 
 
-def test_cells_that_are_requested_for_are_taken():
+def test_cells_that_are_requested_are_taken():
     config = ArfConfig(style="x", levels=2, table_bits=10, finest=48)
     assert new_color(config, np.random.default_rng(0), 500.0).finest == 48
 

@@ -106,7 +106,7 @@ def test_a_level_is_not_dropped_after_next_to_no_part_of_the_budget():
     assert not search.extended(30.2, 2000, 0.038) and search.judge(30.2, 2000)[0]  # what is plain is not waited for
 
 
-def test_a_capacity_that_was_requested_for_is_on_no_trial():
+def test_a_capacity_that_was_requested_is_on_no_trial():
     """What it has grown to stands at the next look: a fall leads back to it, not to the level before."""
     search = search_at(2, force_growth=True)
     search.begin(GROW, 30.0, 1000, 0.4)

@@ -94,7 +94,7 @@ def test_another_seed_is_another_fit_and_the_same_seed_the_same():
     assert not np.array_equal(results[0]["color"], results[2]["color"])
 
 
-def test_rays_stay_as_they_are_until_a_step_is_reported_of():
+def test_rays_stay_as_they_are_until_a_step_is_reported():
     fitter = box_fitter(4)
     learn, before = fitter.engine.learn, fitter.state.rays
     fitter.engine.learn = lambda batch: StepResult(0.0, 0.0)  # a device is still at its first

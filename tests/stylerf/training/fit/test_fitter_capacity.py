@@ -115,7 +115,7 @@ def test_where_no_view_is_held_out_decisions_are_reported_as_of_training_views()
     assert fitter.state.decisions and all("training views gained" in d for d in fitter.state.decisions[:1])
 
 
-def test_a_capacity_that_was_requested_for_is_reached_whatever_it_gains():
+def test_a_capacity_that_was_requested_is_reached_whatever_it_gains():
     fitter = box_fitter(300, min_gain=50.0, force_growth=True)
     fitter.run()
     assert fitter.field.density.size.max() == 16 and all("as requested" in d for d in fitter.state.decisions)
