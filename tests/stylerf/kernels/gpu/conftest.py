@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.stylerf.kernels.gpu.bounds import bounds_checked
+
 
 @pytest.fixture(scope="session")
 def device():
@@ -11,7 +13,9 @@ def device():
     from stylerf.kernels.gpu import interpreted
 
     if torch.cuda.is_available() and not interpreted():
-        return torch.device("cuda")
+        yield torch.device("cuda")
+        return
     if not interpreted():
         pytest.skip("no GPU, and TRITON_INTERPRET was not set before Triton was imported")
-    return torch.device("cpu")
+    with bounds_checked():
+        yield torch.device("cpu")
