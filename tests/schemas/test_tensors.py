@@ -76,7 +76,7 @@ def test_truncated_and_missing_files_are_damage(tmp_path, keep):
         load_tensors(path)
 
 
-@pytest.mark.parametrize(("kind", "told"), [(torch.bfloat16, "BF16"), (torch.float8_e4m3fn, "F8_E4M3")])
+@pytest.mark.parametrize(("kind", "reported"), [(torch.bfloat16, "BF16"), (torch.float8_e4m3fn, "F8_E4M3")])
 def test_types_that_numpy_lacks_are_damage(tmp_path, kind, reported):
     save_file({"density": torch.zeros(4).to(kind)}, tmp_path / "a.safetensors")
     with pytest.raises(ArtifactDamaged, match=f"a.safetensors.*density has the unknown type {reported}"):

@@ -196,7 +196,7 @@ def test_a_bent_field_is_no_measure_of_its_own_bending(work, renderer, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "reported"),
     [
         (("--gap", "1"), 2, "--gap 1: expected at least 2"),
         (("--style-side", "63"), 2, "--style-side 63: expected at least 64"),

@@ -102,7 +102,7 @@ def test_another_base_may_be_named(work, edited, masks, renderer, capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "code", "told"),
+    ("options", "code", "reported"),
     [
         (("--region", "left"), 2, "was made from no other field"),
         (("--base", "blue"), 2, "--region"),

@@ -71,8 +71,8 @@ def test_a_pruning_that_loses_little_stays_and_one_that_loses_more_is_refused_fo
     assert search.level.degree == 0 and search.pruning_due(0.64) is None
 
 
-@pytest.mark.parametrize(("gain", "size", "asked_back"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
-def test_a_level_that_was_worth_its_search_is_not_requested_back(gain, size, requested_back):
+@pytest.mark.parametrize(("gain", "size", "requested_back"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
+def test_a_level_that_gained_is_not_requested_back(gain, size, requested_back):
     search = search_at(2)
     search.begin(GROW, 29.0, 500, 0.4)
     assert search.judge(29.0 + gain, size)[0] and search.state.level == 3
