@@ -71,13 +71,13 @@ def test_a_pruning_that_loses_little_stays_and_one_that_loses_more_is_refused_fo
     assert search.level.degree == 0 and search.pruning_due(0.64) is None
 
 
-@pytest.mark.parametrize(("gain", "size", "requested_back"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
-def test_a_level_that_gained_is_not_requested_back(gain, size, requested_back):
+@pytest.mark.parametrize(("gain", "size", "wanted"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
+def test_a_level_that_gained_is_not_wanted(gain, size, wanted):
     search = search_at(2)
     search.begin(GROW, 29.0, 500, 0.4)
     assert search.judge(29.0 + gain, size)[0] and search.state.level == 3
     search.state.rejected = ["density ranks"]
-    assert search.pruning_due(0.6) == ("resolution" if requested_back else "color ranks")
+    assert search.pruning_due(0.6) == ("resolution" if wanted else "color ranks")
     # A search that is dropped says nothing about the level below it.
     search.state.level, search.state.level_gain, search.state.growth_ended = 2, 0.3, False
     search.begin(GROW, 30.0, 500, 0.4)
