@@ -72,7 +72,7 @@ def test_a_pruning_that_loses_little_stays_and_one_that_loses_more_is_refused_fo
 
 
 @pytest.mark.parametrize(("gain", "size", "wanted"), [(0.05, 500, True), (0.12, 1000, False), (0.3, 400, False)])
-def test_a_level_that_gained_is_not_wanted(gain, size, wanted):
+def test_a_level_that_gained_keeps_its_resolution(gain, size, wanted):
     search = search_at(2)
     search.begin(GROW, 29.0, 500, 0.4)
     assert search.judge(29.0 + gain, size)[0] and search.state.level == 3
