@@ -78,6 +78,7 @@ def _march_rays(
     inputs: GpuMarchInputs, density, rays: GpuRays, samples: GpuSamples, last: Tensor, room: int, fill: bool
 ) -> None:
     n, s = len(rays.origins), samples
+    # Without a displacement it is not read, but the kernel needs a pointer.
     moved = rays.origins if inputs.displacement is None else inputs.displacement
     over(
         march.march_kernel, n, RAYS, inputs.space, rays.origins, rays.directions, rays.jitter,

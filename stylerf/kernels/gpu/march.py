@@ -91,6 +91,7 @@ def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distan
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
     """
     far = mask & (distance > 1)
+    # In a box the CPU leaves the empty cells exactly; here that takes several skips.
     reach = (distance.to(tl.float32) - 1.0) / cells
     steps = tl.where(far, tl.maximum((reach / step).to(tl.int32), 1), 1)
     if KIND == 1:
@@ -180,12 +181,13 @@ def march_kernel(
     weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
     table to layout, DENSITY, RANK, WIDTH: the density, see tables.raw_density.
     """
+    # Both launches run this loop: enter, skip or sample until all lanes are done, then the background's sample.
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     valid = r < rays
     ox, oy, oz = vector(origins, r, valid)
     dx, dy, dz = vector(directions, r, valid)
     t, end = ray_span(KIND, space, ox, oy, oz, dx, dy, dz, near + 0.0 * ox, far)
-    end = tl.where(valid, end, -1.0)
+    end = tl.where(valid, end, -1.0)  # lanes beyond the last ray never march
     most = tl.where(valid, samples_per_ray, 0)
     begin = r.to(tl.int64) * 0
     if FILL:
@@ -219,6 +221,7 @@ def march_kernel(
                 newest = tl.where(hit, w, newest)
             transmittance = tl.where(hit, transmittance * transmitted, transmittance)
             found = tl.where(hit, found + 1, found)
+        # `taken` is 1 after a sample.
         t = tl.where(active, t + dt * taken.to(tl.float32), t)
         turns += 1
         lit = transmittance >= min_transmittance
