@@ -135,6 +135,7 @@ class GpuDensity(GpuPart):
         self.code, self.size, self.rank = grid.code, grid.size, grid.rank
         self.layout, self.width = grid.layout, grid.width
         table = self.values[:-1]
+        # The shift stays a pointer: reading it as a number would wait for the device.
         self.table, self.shift = table.half() if half else table, self.values[-1:]
 
     def sigma(self, points: Tensor) -> Tensor:
