@@ -73,6 +73,7 @@ def render_rays(
     composite(samples, colors, threads, unmapped)
     out = unmapped
     if field.color_map is not None:
+        # Premultiplied colors lie in 0..alpha.
         mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
     return Rendered(out, unmapped, rays, samples, basis, colors, arena)

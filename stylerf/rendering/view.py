@@ -69,7 +69,7 @@ def render_view(
             threads=threads,
             min_transmittance=min_transmittance,
             weight_threshold=field.weight_threshold,
-            arena=arena.reset(),
+            arena=arena.reset(),  # nothing of the last batch is read any more
         )
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
