@@ -77,7 +77,7 @@ class PaletteHead:
         for number, (inside, outside) in enumerate(self.layers):
             bound = math.sqrt(6 / inside) * (0.1 if number in (2, 5) else 1.0)
             parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
-        parts[-1][-1] = EVEN
+        parts[-1][-1] = EVEN  # the bias of the intensity, the last output
         return np.concatenate(parts).astype(np.float32)
 
     def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:

@@ -115,6 +115,7 @@ def backward(
     color_gradients = empty_array(colors.shape, arena)
     threads = len(next(to for to in (color_to, density_to, displacement_to) if to is not None))
     composite_backward(samples, colors, rendered.unmapped, gradients, threads, sigma_gradients, color_gradients)
+    # In place: density, color and displacement all learn from the scaled gradients.
     if near_scaling_distance > 0:
         scale_near_gradients(samples, np.float32(near_scaling_distance), threads, sigma_gradients, color_gradients)
     if color_to is not None:

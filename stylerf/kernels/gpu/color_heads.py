@@ -73,6 +73,7 @@ def color_kernel(
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
+        # A block without a visible sample reads no table.
         if tl.max(valid.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, valid)
             dx, dy, dz = vector(directions, ray, valid)

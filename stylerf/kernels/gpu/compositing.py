@@ -56,6 +56,7 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
+    # Three passes: the sum of weights, where half of it is reached, the mean around there (decision 0032).
     total, passed, at, near, depth = zero, zero, zero, zero, zero
     for i in range(0, longest):
         total += tl.load(weights + first + i, mask=i < count, other=0.0)

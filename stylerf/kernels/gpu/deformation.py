@@ -185,6 +185,7 @@ def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, 
     found = n.to(tl.int32) * 0
     if tl.max(near.to(tl.int32), axis=0) > 0:
         i, j, k = (n // cells // cells)[:, None], (n // cells % cells)[:, None], (n % cells)[:, None]
+        # A lattice of 3^3 points, 2 % inside the cell, so that rounding leaves them there.
         looks = near[:, None] & (point < 27)
         x = (i.to(tl.float32) + (0.02 + 0.48 * (point // 9))) / cells
         y = (j.to(tl.float32) + (0.02 + 0.48 * (point // 3 % 3))) / cells

@@ -65,6 +65,7 @@ def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
 def _clip_axis(o, d, low, scale, t0, t1):
     p, v = (o - low) * scale, d * scale
     parallel = tl.abs(v) < TINY
+    # Lanes cannot branch: parallel rays divide by 1, and the results are not used.
     i = 1.0 / tl.where(parallel, 1.0, v)
     u, w = -p * i, (1.0 - p) * i
     missed = parallel & ((p < 0.0) | (p > 1.0))

@@ -55,7 +55,7 @@ def ray_of_pixel(
     blue = tl.load(own + tl.load(bytes_ + at + 2, mask=mask, other=0).to(tl.int32))
     alpha = red * 0.0 + 1.0
     if CHANNELS == 4:
-        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * 0.00392156862745098
+        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * 0.00392156862745098  # 1 / 255
     return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
 
 
