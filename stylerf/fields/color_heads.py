@@ -30,6 +30,7 @@ class Packed:
     @classmethod
     def colored(cls, points: ShadingPoints, colors: np.ndarray, threads: int) -> "Packed":
         """Pack the points that have a color [n, 3]: not -1 in the first channel."""
+        # -0.5 lies between the mark of no color, -1, and black.
         return cls(colors, -0.5, points.starts, points.ends, threads)
 
 
@@ -64,6 +65,7 @@ class LinearHead(_Head):
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         """Return random values around an even gray, with little dependence on the direction."""
+        # Divided by C0, the constant harmonic, which the head is multiplied by.
         head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)

@@ -173,5 +173,6 @@ def nearest_of(chosen: np.ndarray, vertices: int) -> np.ndarray:
     away[chosen] = False
     number = np.zeros(vertices**3, np.int64)
     number[chosen] = np.arange(len(chosen))
+    # The transform finds each vertex's nearest zero, which is a chosen one.
     where = distance_transform_edt(away.reshape((vertices,) * 3), return_distances=False, return_indices=True)
     return number[np.ravel_multi_index(tuple(where), (vertices,) * 3).ravel()]

@@ -84,6 +84,7 @@ class EncodedColor:
         self.features.backward(self.table, points.x, packed.index, gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
+        # The head's backward also adds the gradients of its own numbers, which nobody reads here.
         unused = np.zeros((threads, self.head.length), np.float32)
         packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, 0, unused)
         self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)

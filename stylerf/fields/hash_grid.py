@@ -37,6 +37,7 @@ class Levels:
     active: int
 
     def __post_init__(self) -> None:
+        # The length is bounded because the kernels' offsets are int32.
         sound = 1 <= self.count <= 32 and 1 <= self.base <= self.finest <= 4096 and 0 <= self.active <= self.count
         if not sound or self.table < 8 or self.table & (self.table - 1) or self.length >= 2**31:
             raise InvalidValue(
@@ -47,6 +48,7 @@ class Levels:
     @property
     def cells(self) -> list[int]:
         """Cells per side of each level."""
+        # Mueller et al. 2022, eq. 2 and 3, rounded to nearest instead of down.
         growth = (self.finest / self.base) ** (1 / max(self.count - 1, 1))
         return [round(self.base * growth**level) for level in range(self.count)]
 
@@ -70,6 +72,7 @@ class Levels:
 
     def layout(self) -> np.ndarray:
         """Return [6, count] int32 as the kernels read it (kernels/cpu/simd_hash.py)."""
+        # The last number is a bit mask by which kernels select the hashed index (-1) or the direct one (0).
         layout = np.empty((6, self.count), np.int32)
         for level, (cells, first) in enumerate(zip(self.cells, self.firsts)):
             if level >= self.active:
@@ -107,6 +110,7 @@ class Levels:
         if level >= self.active:
             return np.zeros_like(entries)
         if self.is_direct(level) or not new.is_direct(level):
+            # Sizes are powers of two: a hash in the smaller table is the low bits of that in the larger.
             return entries % self.vertices(level)
         i, j, k = np.unravel_index(entries, (self.cells[level] + 1,) * 3)
         return ((i * np.int64(PRIME_X)) ^ (j * np.int64(PRIME_Y)) ^ k) & (self.table - 1)

@@ -65,14 +65,17 @@ class OccupancyGrid:
         corner = np.stack(np.unravel_index(index, (self.cells,) * 3), -1).astype(np.float32)
         points = (corner + generator.random(corner.shape, dtype=np.float32)) / np.float32(self.cells)
         seen = np.minimum(density(np.ascontiguousarray(points)), DENSEST)
+        # UNSEEN is infinite and would outlast any decay.
         old = self.highest[index]
         self.highest[index] = np.maximum(np.where(old == UNSEEN, 0, old * np.float32(decay)), seen)
         self.decide(step)
 
     def decide(self, step: float) -> None:
         """Recompute `distances` for a marching step (cube units)."""
+        # 1 - exp(-OPTICAL_SCALE sigma step) = OPAQUE_STEP, solved for sigma.
         threshold = -np.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * step)
         # Below its mean density nothing is pruned: a young field may be thinner than the threshold everywhere.
+        # MARK bounds the mean, which UNSEEN would make infinite.
         occupied = self.highest > min(threshold, float(np.mean(np.minimum(self.highest, MARK))))
         self.set_occupied(occupied)
 
@@ -81,7 +84,7 @@ class OccupancyGrid:
         if self.clear is not None:
             occupied = occupied & ~self.clear
         grid = ~occupied.reshape((self.cells,) * 3)
-        if grid.all():
+        if grid.all():  # nothing is occupied: there is no cell to measure a distance to
             self.distances = np.full(self.cells**3, 255, np.uint8)
             return
         distance = distance_transform_cdt(grid, metric="chessboard")
@@ -113,6 +116,7 @@ def _check_distances(distances: np.ndarray) -> None:
     Chebyshev distances of neighbors, diagonal ones included, differ by at most 1. A distance that is too large would
     let rays skip occupied cells; one that is too small (a GPU's end at 32) only costs steps.
     """
+    # The minimum over 27 neighbors, one axis after the other.
     lowest = distances
     for axis in range(3):
         along = np.moveaxis(lowest, axis, 0)
@@ -120,6 +124,7 @@ def _check_distances(distances: np.ndarray) -> None:
         to = np.moveaxis(lowest, axis, 0)
         np.minimum(to[1:], along[:-1], out=to[1:])
         np.minimum(to[:-1], along[1:], out=to[:-1])
+    # 254, since 255 + 1 is 0 in uint8.
     if (distances > np.minimum(lowest, 254) + 1).any():
         raise InvalidValue("the array occupancy.distances holds what are no distances to occupied cells")
 

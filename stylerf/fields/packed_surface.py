@@ -58,6 +58,7 @@ def cells_of(surface: PackedSurface) -> float:
     """
     height, width = surface.alpha.shape
     starts, ends, x, weights = surface.samples(np.arange(height * width))
+    # Differences of running sums over the whole view: float32 would cancel.
     sums = np.zeros((len(x) + 1, 3))
     np.cumsum(x * weights[:, None], axis=0, dtype=np.float64, out=sums[1:])
     alpha = surface.alpha[..., None]

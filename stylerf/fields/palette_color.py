@@ -77,7 +77,7 @@ class PaletteHead:
         for number, (inside, outside) in enumerate(self.layers):
             bound = math.sqrt(6 / inside) * (0.1 if number in (2, 5) else 1.0)
             parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
-        parts[-1][-1] = EVEN
+        parts[-1][-1] = EVEN  # the bias of the intensity, the last output
         return np.concatenate(parts).astype(np.float32)
 
     def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
@@ -199,7 +199,7 @@ class PaletteColor:
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
         packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
         self.features.backward(self.table, points.x, packed.index, gradients, to)
-        to[0, self.features.length :] += own
+        to[0, self.features.length :] += own  # summed by torch already: one thread's buffer takes it
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
         """Add dL/dx to out [n, 3]; the slope of the edits' filters is left out."""

@@ -252,6 +252,7 @@ def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def from_hsv(hue: Tensor, saturation: Tensor, value: Tensor) -> Tensor:
     """Invert to_hsv, [..., 3]."""
     channels = []
+    # A channel is full within a sixth of the circle of its own hue, and falls to v (1 - s) over the next sixth.
     for begin in (5.0, 3.0, 1.0):
         k = torch.remainder(begin + 6 * hue, 6.0)
         channels.append(value - value * saturation * torch.minimum(k, 4 - k).clamp(0, 1))

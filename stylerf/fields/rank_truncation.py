@@ -26,7 +26,7 @@ def texel_weights(occupancy: OccupancyGrid | None, size: np.ndarray) -> list[tup
     occupied = (occupancy.distances.reshape((occupancy.cells,) * 3) == 0).astype(np.float32)
     weights = []
     for m, (a, b) in enumerate(_AXES):
-        plane = occupied.mean(m) if a < b else occupied.mean(m).T
+        plane = occupied.mean(m) if a < b else occupied.mean(m).T  # plane 1's axes are (2, 0), the mean's ascend
         line = occupied.mean((a, b))
         plane = plane[np.ix_(_cells_of(size[a], occupancy.cells), _cells_of(size[b], occupancy.cells))]
         weights.append(
@@ -50,6 +50,7 @@ def best_ranks(plane: np.ndarray, line: np.ndarray, weights: tuple, rank: int) -
         plane [n, rank] and line [k, rank], of about the same magnitudes as before.
     """
     (plane_q, plane_r), (line_q, line_r) = _orthogonal(plane, weights[0]), _orthogonal(line, weights[1])
+    # plane line^T = Q_p (R_p R_l^T) Q_l^T: only the middle, [old, old], needs a decomposition.
     left, strengths, right = np.linalg.svd(plane_r @ line_r.T)
     there = min(rank, len(strengths))  # a grid with fewer vertices has a lower rank
     factors = _shared_out([left[:, :there] * strengths[:there], right[:there].T], [plane_r, line_r])
@@ -86,6 +87,7 @@ def best_seen_ranks(
             first, second = (factors[other] for other in range(3) if other != axis)
             along = np.moveaxis(tensor, axis, 0)
             wanted = np.einsum("abc,br,cr->ar", along, first, second, optimize=True)
+            # Normal equations: the Khatri-Rao product's Gram matrix is the elementwise product of the two.
             factors[axis] = wanted @ np.linalg.pinv((first.T @ first) * (second.T @ second), rcond=1e-10)
         factors = _shared_out(factors, cores)
     found = [basis @ factor / w[:, None] for basis, factor, w in zip(bases, factors, (*weights, ones))]

@@ -80,6 +80,7 @@ class RegionColor:
         inside, own_colors = self._colored_inside(points, colors, threads)
         found = np.zeros(points.x.shape, np.float32)
         self.own.add_position_gradients(inside, None, own_colors, color_gradients, found, threads)
+        # Chain rule: the region's own position is (x - low) / side.
         kernels.add_scaled(found, np.float32(1 / self.side), points.starts, points.ends, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:

@@ -53,6 +53,7 @@ def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, s
     for plane in planes:
         plane[:] = generator.normal(scale=spread, size=plane.shape)
     for line in lines:
+        # Away from 0: where plane and line both vanish, neither gets a gradient.
         line[:] = generator.normal(scale=spread, size=line.shape) + 0.3
     return table
 
@@ -202,6 +203,7 @@ class VmColor:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         bands = BANDS[self.degree]
+        # A grid of any size: only the new head is taken.
         head = VmColor.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))

@@ -33,6 +33,7 @@ class Grid:
         if (self.size < 2).any() or kept.dtype != bool or kept.shape != tuple(blocks):
             raise InvalidValue(f"voxel grid {self.size.tolist()}: blocks {kept.shape} {kept.dtype}, {blocks.tolist()}")
         self.kept = kept
+        # Blocks count from 1: 0 is the shared one.
         numbers = np.where(kept, np.cumsum(kept.ravel()).reshape(kept.shape), 0).ravel()
         self.links = np.concatenate([self.size, blocks, numbers]).astype(np.int32)
 

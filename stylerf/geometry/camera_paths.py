@@ -22,6 +22,7 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
     """
     if not cameras:
         raise InvalidValue("a camera path needs the scene's cameras; there are none")
+    # Orbit and spiral close, so that frame `count` would be frame 0 again; interpolate ends at its last camera.
     if kind == "orbit":
         pose = _orbit_pose(cameras, index / count)
     elif kind == "spiral":
@@ -47,6 +48,7 @@ def focus_point(cameras: list[Camera]) -> np.ndarray:
     centers = np.array([c.center for c in cameras])
     axes = np.array([c.forward for c in cameras])
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    # Parallel axes make the sum singular; a slight pull to the mean camera decides where they leave it open.
     matrix = projectors.sum(0) + 1e-6 * len(cameras) * np.eye(3)
     right = (projectors @ centers[:, :, None]).sum(0)[:, 0] + 1e-6 * len(cameras) * centers.mean(0)
     return np.linalg.solve(matrix, right)
@@ -80,6 +82,7 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
     else:
         start = ordered[(int(gaps.argmax()) + 1) % len(ordered)]
         width = 2 * np.pi - gaps.max()
+        # From 5 to 95 % of the arc and back, slow at both ends.
         angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
     radius, height = float(np.median(np.linalg.norm(flat, axis=1))), float(np.median(heights))
     center = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up

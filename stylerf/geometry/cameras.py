@@ -92,6 +92,7 @@ class Camera:
         x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
         length = np.sqrt(x * x + y * y + 1)
         directions = np.empty((len(x), 3), np.float32)
+        # Written out: a matrix product may round differently for another number of rows.
         for axis, (right, down, forward) in enumerate(self.world_from_camera[:3, :3]):
             directions[:, axis] = (right * x + down * y + forward) / length
         return np.tile(self.center.astype(np.float32), (len(x), 1)), directions
@@ -129,6 +130,7 @@ def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     second_from_first = np.linalg.inv(second) @ first
     rotation, shift = second_from_first[:3, :3], second_from_first[:3, 3]
     x, y, z = shift / max(np.linalg.norm(shift), 1e-300)
+    # E = [t]x R (Longuet-Higgins 1981)
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
 
 

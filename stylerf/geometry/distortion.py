@@ -66,6 +66,7 @@ class Distortion:
         """Map distorted points [..., 2] to undistorted points [..., 2] by Newton's method; NaN where that fails."""
         points = np.asarray(points, dtype=np.float64)
         found = self._fisheye_start(points) if self.kind == "fisheye" else points.copy()
+        # Forward differences: their error slows convergence but does not move the solution, which the residual decides.
         step = 1e-6
         for _ in range(30):
             here = self.distort(found)
@@ -82,11 +83,12 @@ class Distortion:
                 axis=-1,
             )
             found = found + move / determinant[..., None]
-        lost = ~(np.abs(self.distort(found) - points).max(axis=-1) < 1e-7)
+        lost = ~(np.abs(self.distort(found) - points).max(axis=-1) < 1e-7)  # negated, so that NaN is lost too
         return np.where(lost[..., None], np.nan, found)
 
     def _fisheye_start(self, points: np.ndarray) -> np.ndarray:
         r = np.linalg.norm(points, axis=-1, keepdims=True)
+        # r is nearly theta; bounded below pi/2, where the tangent is infinite.
         return points * np.where(r > 1e-9, np.tan(np.minimum(r, 1.45)) / np.maximum(r, 1e-9), 1.0)
 
 
@@ -146,11 +148,12 @@ def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distor
             edge[:, 1 - axis] = along * extent[1]
             ideal = distortion.undistort((edge - [cx, cy]) / [fx, fy])[:, axis]
             if distortion.kind == "fisheye":
-                ideal = np.nan_to_num(ideal, nan=np.inf if far_side else -np.inf)
+                ideal = np.nan_to_num(ideal, nan=np.inf if far_side else -np.inf)  # too far off the axis: cropped below
             if np.isnan(ideal).any():
                 raise InvalidValue(
                     "its distortion coefficients fold the image at its edge; check k1, k2, p1, p2, the focal length"
                 )
+            # The innermost point of a curved edge, so that no pixel beyond it is shown.
             (highs if far_side else lows).append(float(ideal.min() if far_side else ideal.max()))
     lower, upper = np.maximum(lows, -WIDEST_SLOPE), np.minimum(highs, WIDEST_SLOPE)
     if not np.all(lower < upper):

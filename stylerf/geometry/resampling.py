@@ -26,6 +26,7 @@ def _area_weights(many: int, few: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels that each new pixel overlaps, and their weights, which sum to 1; [few, n] each."""
     edges = np.arange(few + 1) * (many / few)
     low, high = edges[:-1, None], edges[1:, None]
+    # One more than the ratio: a new pixel need not begin at the edge of an old one.
     cells = np.floor(low).astype(int) + np.arange(int(np.ceil(many / few)) + 1)
     overlap = np.clip(np.minimum(high, cells + 1) - np.maximum(low, cells), 0, None)
     return np.minimum(cells, many - 1), (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)

@@ -81,6 +81,7 @@ def focus_of(poses: np.ndarray) -> np.ndarray:
     across = np.eye(3) - forward[:, :, None] * forward[:, None, :]  # [n, 3, 3]
     total = across.sum(0)
     middle, spread = centers.mean(0), baseline_of(poses)
+    # The smallest eigenvalue, by the number of axes, is the mean squared sine of their angles to a common direction.
     if np.linalg.eigvalsh(total)[0] / len(poses) > 1e-4:
         focus = np.linalg.solve(total, (across @ centers[:, :, None]).sum(0)[:, 0])
         if ((focus - centers) * forward).sum(1).mean() > 0:
@@ -106,10 +107,11 @@ def up_of(poses: np.ndarray) -> np.ndarray:
 def rotation_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the smallest rotation [3, 3] that turns unit vector a into b."""
     axis, cosine = np.cross(a, b), float(a @ b)
-    if cosine < -1 + 1e-9:
+    if cosine < -1 + 1e-9:  # a half turn, about any axis across
         other = np.eye(3)[np.argmin(np.abs(a))]
         axis = np.cross(a, other) / np.linalg.norm(np.cross(a, other))
         return 2 * np.outer(axis, axis) - np.eye(3)
+    # Rodrigues' formula, I + K + K^2 / (1 + cos).
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
     return np.eye(3) + cross + cross @ cross / (1 + cosine)
 

@@ -81,6 +81,7 @@ def _kept(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray,
         empty[judged] = ~_any_within(table, pixels[judged], reach[judged])
         seen[alive[judged | empty]] += 1
         against[alive[empty]] += 1
+        # Ruled out by more views than may be faulty: later views need not project these cells.
         alive = alive[against[alive] <= allowed]
     kept = np.zeros(len(centers), bool)
     enough = seen[alive] >= max(1, len(cameras) * _SHOWING_SHARE)

@@ -112,6 +112,7 @@ class SpaceWarp:
         local = (points - np.asarray(p[:3])) * np.asarray(p[3:6])
         if self.kind == "box":
             return np.clip(local, 0, 1)
+        # At 1 and below, (2 - 1/m)/m of the clamped m is 1: one formula for both sides of the box.
         largest = np.maximum(np.abs(local).max(-1, keepdims=True), 1.0)
         return np.clip(0.5 + 0.25 * local * (2 - 1 / largest) / largest, 0, 1)
 
@@ -120,13 +121,14 @@ class SpaceWarp:
         cube = np.asarray(cube, dtype=np.float64)
         p = self.parameters
         if self.kind == "frustum":
-            z = p[2] / np.maximum(1 - cube[:, 2], 1e-9)
+            z = p[2] / np.maximum(1 - cube[:, 2], 1e-9)  # the far face is at infinity
             return np.stack([(cube[:, 0] * 2 - 1) * p[0] * z, (cube[:, 1] * 2 - 1) * p[1] * z, z], -1)
         if self.kind == "box":
             return np.asarray(p[:3]) + cube / np.asarray(p[3:6])
         local = (cube - 0.5) * 4
         largest = np.abs(local).max(-1, keepdims=True)
         reach = np.maximum(largest, 1.0)
+        # The inverse of m' = 2 - 1/m, which reaches 2 at infinity.
         radius = np.where(largest > 1, 1 / np.maximum(2 - reach, 1e-9), largest)
         return np.asarray(p[:3]) + local / np.maximum(largest, 1e-12) * radius / np.asarray(p[3:6])
 

@@ -45,6 +45,7 @@ def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenP
     """
     count = camera.height * camera.width
     starts, ends, x, weights = surface.samples(np.arange(count))
+    # Running sums over all pixels' samples, twice: first to find each pixel's median, then the mean around it.
     sums = np.zeros((len(x) + 1, 4))
     np.cumsum(weights, dtype=np.float64, out=sums[1:, 3])
     middle = np.searchsorted(sums[1:, 3], (sums[starts, 3] + sums[ends, 3]) / 2)
@@ -70,6 +71,7 @@ def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLER
     pixels = np.flatnonzero(view.there)
     points = view.points[pixels]
     positions, depth = camera.project(points)
+    # Points near the camera's plane project to where a cast to integers is undefined.
     columns, rows = np.floor(np.clip(positions, -1, 1e7)).astype(np.int64).T
     inside = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     at = np.where(inside, rows * camera.width + columns, 0)
@@ -107,7 +109,7 @@ def every(camera: Camera, stride: int) -> Camera:
         height=-(-camera.height // stride),
         fx=camera.fx / stride,
         fy=camera.fy / stride,
-        cx=(camera.cx - 0.5) / stride + 0.5,
+        cx=(camera.cx - 0.5) / stride + 0.5,  # pixel centers are at halves
         cy=(camera.cy - 0.5) / stride + 0.5,
     )
 

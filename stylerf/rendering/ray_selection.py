@@ -82,6 +82,7 @@ def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, wi
 def _stretched(lattice: np.ndarray, offset: int, length: int, dilation: int, axis: int) -> np.ndarray:
     """Interpolate a lattice linearly along one axis to every pixel, clamped outside."""
     at = np.clip((np.arange(length) - offset) / dilation, 0, lattice.shape[axis] - 1)
+    # max: a lattice of a single row has no second one to interpolate to.
     below = np.minimum(at.astype(np.int64), max(0, lattice.shape[axis] - 2))
     fraction = (at - below).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
     above = np.minimum(below + 1, lattice.shape[axis] - 1)

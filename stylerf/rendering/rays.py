@@ -73,6 +73,7 @@ def render_rays(
     composite(samples, colors, threads, unmapped)
     out = unmapped
     if field.color_map is not None:
+        # Premultiplied colors lie in 0..alpha.
         mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
     return Rendered(out, unmapped, rays, samples, basis, colors, arena)
@@ -114,6 +115,7 @@ def backward(
     color_gradients = empty_array(colors.shape, arena)
     threads = len(next(to for to in (color_to, density_to, displacement_to) if to is not None))
     composite_backward(samples, colors, rendered.unmapped, gradients, threads, sigma_gradients, color_gradients)
+    # In place: density, color and displacement all learn from the scaled gradients.
     if near_scaling_distance > 0:
         scale_near_gradients(samples, np.float32(near_scaling_distance), threads, sigma_gradients, color_gradients)
     if color_to is not None:

@@ -69,7 +69,7 @@ def render_view(
             threads=threads,
             min_transmittance=min_transmittance,
             weight_threshold=field.weight_threshold,
-            arena=arena.reset(),
+            arena=arena.reset(),  # nothing of the last batch is read any more
         )
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
@@ -115,7 +115,7 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
         raise InvalidValue("a field that is not displaced has no displacement to show")
     origins, directions = camera.rays()
     points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))
-    places = (points * (np.array(grid.shape[:3]) - 1)).T
+    places = (points * (np.array(grid.shape[:3]) - 1)).T  # vertices span the cube, ends included
     moved = np.stack([map_coordinates(grid[..., axis], places, order=1) for axis in range(3)], -1)
     far = np.linalg.norm(moved, axis=1).reshape(seen.alpha.shape) * (seen.alpha > 0.5)
     most = max(float(np.percentile(far[seen.alpha > 0.5], 99)) if (seen.alpha > 0.5).any() else 0.0, 1e-9)

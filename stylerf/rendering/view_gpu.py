@@ -68,7 +68,7 @@ class GpuRenderer:
             for half in (False, True)
         )
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
-        del self._fields[not self.half]
+        del self._fields[not self.half]  # frees the other copy's memory
 
     def pixels(
         self,

@@ -103,6 +103,7 @@ class GpuField:
         out = unmapped
         if self.color_map is not None:
             matrix, offset = self.color_map
+            # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
             rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
             out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
         return GpuRendered(out, unmapped, rays, samples, colors)
@@ -153,6 +154,7 @@ def refresh(field: GpuField, seed: int, stride: int, decay: float) -> None:
     points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
     seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
     old = field.highest[index]
+    # UNSEEN is infinite and would outlast any decay.
     field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
     if field.clear is not None:
         field.highest.masked_fill_(field.clear, 0.0)
@@ -179,7 +181,9 @@ def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
     distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)
     ways = torch.arange(1 - farthest, farthest, device=occupied.device).abs().to(torch.uint8)
     for axis in range(3):
+        # F.pad takes the last axis first.
         margins = [farthest - 1 if a == axis else 0 for a in (2, 1, 0) for _ in range(2)]
+        # [m, m, m, 2 farthest - 1], a view; the maximum below is as large, one byte each.
         lines = F.pad(distance, margins, value=farthest).unfold(axis, len(ways), 1)
         distance = torch.maximum(lines, ways).amin(-1)
     return distance

@@ -91,7 +91,7 @@ class GpuVoxelGrid:
         self.layout = torch.from_numpy(grid.links).to(device)
         self.width = triton.next_power_of_2(row)
         places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # contiguous, unlike argwhere's own
-        places[1:] = np.argwhere(grid.kept)
+        places[1:] = np.argwhere(grid.kept)  # row 0: the shared block, which has no place
         self.places = torch.from_numpy(places).to(device)
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
@@ -135,6 +135,7 @@ class GpuDensity(GpuPart):
         self.code, self.size, self.rank = grid.code, grid.size, grid.rank
         self.layout, self.width = grid.layout, grid.width
         table = self.values[:-1]
+        # The shift stays a pointer: reading it as a number would wait for the device.
         self.table, self.shift = table.half() if half else table, self.values[-1:]
 
     def sigma(self, points: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 from stylerf.kernels.cpu.compiling import parallel_kernel
 from stylerf.kernels.cpu.simd_vm import INDEX, SCALAR, Rows, data_pointer
 
-LANES = 8
+LANES = 8  # floats; the GPU's kernel skips runs of the same length
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
@@ -100,9 +100,11 @@ def adam(values, gradients, first, second, rate, beta1, beta2, epsilon, correcti
                 touched |= any_gradient(flat, thread * stride + at)
             if not touched:
                 continue
+            # In the order of threads, so that sums repeat to the bit.
             for thread in range(1, threads):
                 gather_gradient(flat, at, thread * stride + at)
             adam_run(values, flat, first, second, at, at, step, beta1, beta2, epsilon, root)
+    # Fewer than LANES elements are left: one short run, skipped as a whole too.
     rest = begin + runs * LANES
     touched = False
     for i in range(rest, end):

@@ -82,6 +82,7 @@ def linear(phi, widths, head, basis, index, ray, threads, out):
         seen = np.empty(3 * width, np.float32)
         last = np.int64(-1)
         for i in range(thread * m // threads, (thread + 1) * m // threads):
+            # Samples ascend by ray: the head is combined with each direction once.
             if ray[i] != last:
                 last = ray[i]
                 head_of(head, basis, last, width, seen)
@@ -121,9 +122,9 @@ def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradient
             k = index[i]
             here = np.int64(i * width)
             for f in range(width):
-                phi_flat[here + f] = _ZERO
+                phi_flat[here + f] = _ZERO  # the caller leaves it uninitialized
             for j in range(3):
-                g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
+                g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])  # sigmoid' = c (1 - c)
                 buffers[bias + j] += g
                 axpy_row(g, seen, np.int64(j * width), phi_flat, here, widths)
                 axpy_row(g, flat, here, seen_gradient, np.int64(j * width), widths)
@@ -227,6 +228,7 @@ def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradient
     for thread in prange(threads):
         base = np.int64(thread * stride + at)
         seen, layer, learned = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
+        # layer: relu's output; back: dL/d(its input); learned: back summed over one ray's samples.
         back = np.empty(h, np.float32)
         last = np.int64(-1)
         for i in range(thread * m // threads, (thread + 1) * m // threads):

@@ -53,7 +53,7 @@ def surface_distance(samples, threads, out):
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
-            half, passed, middle = out[r, 3] * _HALF, _ZERO, ends[r]
+            half, passed, middle = out[r, 3] * _HALF, _ZERO, ends[r]  # ends[r]: no sample
             for k in range(starts[r], ends[r]):
                 passed += weights[k]
                 if passed >= half:
@@ -81,8 +81,10 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
 
         dL/d(sigma_k) = delta_k (T_{k+1} D_k - sum_{i>k} w_i D_i)
 
-    The scale that spreads the mean color over uncolored samples is treated as a constant.
+    The mean color that uncolored samples take is treated as a constant.
     """
+    # From w_k = T_k (1 - exp(-sigma_k delta_k)): dw_k/dsigma_k = delta_k T_{k+1}, and dw_i/dsigma_k = -delta_k w_i for
+    # i > k. The first pass sums all w_i D_i; the second, front to back, takes off what is no longer behind.
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
     for thread in prange(threads):
@@ -90,6 +92,7 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
             g0, g1, g2 = gradients[r, 0], gradients[r, 1], gradients[r, 2]
             ga, gd = gradients[r, 3], gradients[r, 4]
             total = out[r, 3]
+            # g . c for samples that took the mean color, which is out[0:3] / alpha.
             mean = (g0 * out[r, 0] + g1 * out[r, 1] + g2 * out[r, 2]) / total if total > _ZERO else _ZERO
             behind = _ZERO
             for k in range(starts[r], ends[r]):
@@ -108,7 +111,7 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
             for k in range(starts[r], ends[r]):
                 d = sigma_gradients[k]
                 behind -= weights[k] * d
-                transmittance -= weights[k]
+                transmittance -= weights[k]  # T_{k+1} = 1 - w_0 - ... - w_k
                 sigma_gradients[k] = deltas[k] * (transmittance * d - behind)
 
 
@@ -164,6 +167,7 @@ def pack_visible(visible, samples, offsets, threads, packed_x, packed_weights):
             for k in range(starts[r], ends[r]):
                 if visible[k] > _ZERO:
                     for a in range(3):
+                        # Rounds to nearest, since the conversion truncates.
                         packed_x[at, a] = np.uint16(x[k, a] * np.float32(65535) + np.float32(0.5))
                     packed_weights[at] = visible[k] * scale
                     at += 1

@@ -31,6 +31,7 @@ def displacement_backward(space, rays, samples, position_gradients, vertices, to
                 if deltas[k] == _ZERO:
                     continue
                 s = t[k]
+                # Samples hold x' alone; x, where D was read, is computed again from t.
                 warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, q)
                 i, fx = cell(q[0], vertices)
                 j, fy = cell(q[1], vertices)

@@ -82,6 +82,7 @@ def color_backward(layout, levels, points, colors, color_gradients, to):
                 if colors[k, 0] < _ZERO:
                     continue
                 if k + 1 < stop and colors[k + 1, 0] >= _ZERO:
+                    # The gradients' rows: the table is not read here, since a sigmoid's slope follows from its value.
                     hash_prefetch(flat, base, layout, x[k + 1, 0], x[k + 1, 1], x[k + 1, 2], levels)
                 _logit_gradient(colors, color_gradients, k, g)
                 hash_features_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, np.int64(0), levels)
@@ -144,7 +145,7 @@ def density_backward(density, levels, samples, sigma_gradients, to):
         base = np.int64(thread * stride)
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
+                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
                 if g != _ZERO:
                     shift_gradient += g
                     hash_sum_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, levels)
@@ -170,6 +171,7 @@ def density_position_gradient(density, levels, samples, sigma_gradients, threads
 def smoothness_backward(table, cells, first, width, strength, to):
     """Add strength * d/dt of half the summed squared differences between neighboring vertices of one direct level."""
     n = cells + 1
+    # Every pair is visited from both ends, and a vertex writes its own gradient only: no race in the one buffer.
     for i in prange(n):
         for j in range(n):
             for k in range(n):

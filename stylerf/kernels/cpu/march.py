@@ -39,7 +39,9 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
         out[0] = _HALF + _HALF * px * i / numbers[0]
         out[1] = _HALF + _HALF * py * i / numbers[1]
         out[2] = _ONE - numbers[2] * i
+        # d(1 - near/z)/dz: the scale along depth, whatever the ray's direction (decision 0002).
         jacobian = numbers[2] * i * i
+        # Quotient rule: d(x/z)/dt = (dx - x/z dz)/z.
         sx = abs(_HALF * (dx - px * i * dz) * i / numbers[0])
         sy = abs(_HALF * (dy - py * i * dz) * i / numbers[1])
         speed = max(sx, sy, abs(jacobian * dz))
@@ -58,6 +60,7 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
             speed = max(abs(vx), abs(vy), abs(vz))
         else:
             m = max(abs(ax), abs(ay), abs(az))
+            # Contracted space spans -2..2, so that a unit of it is a quarter of the cube.
             jacobian = numbers[6] * np.float32(0.25)
             if m > _ONE:
                 # x' = x (2 - 1/m)/m with m the largest coordinate; dm/dt is that coordinate's own velocity.
@@ -69,6 +72,7 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
                     dm = vy if ay > _ZERO else -vy
                 else:
                     dm = vz if az > _ZERO else -vz
+                # s = 2/m - 1/m^2, hence ds/dm = 2 (1/m - 1)/m^2.
                 ds = _TWO * (i - _ONE) * i * i * dm
                 vx = vx * s + ax * ds
                 vy = vy * s + ay * ds
@@ -76,7 +80,7 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
                 ax *= s
                 ay *= s
                 az *= s
-                jacobian *= i * i
+                jacobian *= i * i  # d(2 - 1/m)/dm
             out[0] = _HALF + np.float32(0.25) * ax
             out[1] = _HALF + np.float32(0.25) * ay
             out[2] = _HALF + np.float32(0.25) * az
@@ -100,6 +104,7 @@ def ray_span(space, ox, oy, oz, dx, dy, dz, near):
                 o, d = oz, dz
             p = (o - numbers[a]) * numbers[3 + a]
             v = d * numbers[3 + a]
+            # Parallel to these two faces: -p / v would be NaN on one of them.
             if abs(v) < _TINY:
                 if p < _ZERO or p > _ONE:
                     return _ONE, _ZERO
@@ -120,6 +125,7 @@ def _exit_time(x, speed, distance, cells, shortest):
         return shortest
     own = np.float32(min(int(x * np.float32(cells)), cells - 1))
     edge = own + np.float32(distance) if speed > _ZERO else own - np.float32(distance) + _ONE
+    # Clamped below: rounding can put the edge behind x, and a ray must not turn back.
     time = (edge / np.float32(cells) - x) / speed
     return min(max(time, _ZERO), shortest)
 
@@ -139,9 +145,11 @@ def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, 
         left = _exit_time(q[0], dx * numbers[3], distance, cells, left)
         left = _exit_time(q[1], dy * numbers[4], distance, cells, left)
         left = _exit_time(q[2], dz * numbers[5], distance, cells, left)
+        # A whole number of steps: samples fall where they would without skipping.
         return np.int64(left / dt) + 1
     if distance <= 1:
         return np.int64(1)
+    # Wherever in its cell q lies, distance - 1 whole cells separate it from the nearest occupied one.
     reach = (np.float32(distance) - _ONE) / np.float32(cells)
     steps = max(np.int64(1), np.int64(reach / step))
     if space.kind == CONTRACTION:
@@ -158,6 +166,7 @@ def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, 
 @inline
 def cell_distance(occupancy, cells, q):
     """Chebyshev distance, in cells, from the cell of warped point q to the nearest occupied one; 0: occupied."""
+    # The far face, q = 1, belongs to the last cell.
     i = min(int(q[0] * np.float32(cells)), cells - 1)
     j = min(int(q[1] * np.float32(cells)), cells - 1)
     k = min(int(q[2] * np.float32(cells)), cells - 1)
@@ -168,6 +177,7 @@ def cell_distance(occupancy, cells, q):
 def cell(x, size):
     """Lower cell index and position inside the cell of x in 0..1 on `size` vertices."""
     s = x * np.float32(size - 1)
+    # x = 1 belongs to the last cell; a NaN's index stays inside the table.
     i = min(max(np.int64(s), np.int64(0)), np.int64(size - 2))
     return i, s - np.float32(i)
 
@@ -221,10 +231,12 @@ def march_partition(
     distances, cells = occupancy.distances, occupancy.cells
     step, samples_per_ray, min_transmittance = settings.step, settings.samples_per_ray, settings.min_transmittance
     starts, ends, t_out, deltas, x, sigma, weights = samples
+    # Per ray: enter, skip empty cells and sample the others, then let the background take what light is left.
     n = len(origins)
     q = np.empty(3, np.float32)
     ahead = np.empty(3, np.float32)
     moved = np.empty(3, np.float32)
+    # A fixed partition instead of prange's schedule: sums must not depend on timing (decision 0007).
     begin = thread * n // threads
     at = begin * samples_per_ray
     for r in range(begin, (thread + 1) * n // threads):
@@ -236,6 +248,7 @@ def march_partition(
         last = at + samples_per_ray
         if t < end:
             speed, _ = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+            # Jitter is a part of a step in the cube; the speed there turns it into a distance.
             t += rays.jitter[r] * step / speed
             speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
         while t < end and transmittance >= min_transmittance and at < last:
@@ -258,6 +271,7 @@ def march_partition(
                 displace(displacement.grid, displacement.vertices, q, moved)
                 q[0], q[1], q[2] = moved[0], moved[1], moved[2]
             else:
+                # Only without a displacement, which would read other rows than those around `ahead`.
                 prefetch(density, shape, ahead)
             raw = raw_density(density, shape, q)
             delta = dt * jacobian * OPTICAL_SCALE
@@ -274,7 +288,7 @@ def march_partition(
             # The far end absorbs the remaining light (decision 0004). Its density is fixed: only its color learns.
             warp_at(space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)
             t_out[at] = end
-            deltas[at] = _ZERO
+            deltas[at] = _ZERO  # marks the background, and makes its density's gradient zero
             x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
             sigma[at] = _ZERO
             weights[at] = transmittance

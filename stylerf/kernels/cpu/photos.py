@@ -70,6 +70,7 @@ def remapped(pixels, positions):
                     for b in range(4):
                         line += np.float32(wx[b]) * pixels[row, min(max(left - 1 + b, 0), width - 1), c]
                     total += np.float32(wy[a]) * line
+                # The outer two weights are negative: at sharp edges the sum overshoots.
                 out[i, j, c] = min(max(total, np.float32(0)), np.float32(1))
     return out
 
@@ -93,6 +94,7 @@ def count_clear(sums, pose, fx, fy, cx, cy, low, width, cells, radius, threads, 
                 for k in range(cells):
                     z = low[2] + (np.float32(k) + np.float32(0.5)) * width[2] - pose[2, 3]
                     depth = x * pose[0, 2] + y * pose[1, 2] + z * pose[2, 2]
+                    # A ball that reaches the camera's plane has no bounded projection.
                     if depth <= radius:
                         continue
                     u = (x * pose[0, 0] + y * pose[1, 0] + z * pose[2, 0]) / depth
@@ -103,6 +105,7 @@ def count_clear(sums, pose, fx, fy, cx, cy, low, width, cells, radius, threads, 
                     right = math.ceil(fx * (u + reach) + cx) + 1
                     top = math.floor(fy * (v - reach) + cy) - 1
                     bottom = math.ceil(fy * (v + reach) + cy) + 1
+                    # The object may go on beyond the border: a view says nothing about a ball that it cuts.
                     if left < 0 or top < 0 or right > length or bottom > height:
                         continue
                     cell = (i * cells + j) * cells + k

@@ -117,6 +117,7 @@ def add_logits(own, starts, ends, threads, out):
                         # Clamped, since nothing could move a logit of infinity: white and black can be repainted too.
                         base = min(max(out[k, j], np.float32(1e-4)), np.float32(1 - 1e-4))
                         both = base * own[k, j]
+                        # sigmoid(logit(p) + logit(q)) = p q / (p q + (1 - p)(1 - q)), without logarithms.
                         out[k, j] = both / (both + (_ONE - base) * (_ONE - own[k, j]))
 
 

@@ -33,6 +33,7 @@ class Levels:
         self.resolutions = builder.sitofp(cells, self.lanes.type)
         low, self.fractions = zip(*(self._split(x, cells) for x in point))
         one = self._constant(1)
+        # (i + 1) times_x = i times_x + times_x also where 32-bit products wrap, as those of the hash do.
         xs = [builder.mul(low[0], times_x)]
         ys = [builder.mul(low[1], times_y)]
         xs.append(builder.add(xs[0], times_x))
@@ -89,6 +90,7 @@ def _mix(rows, low, high, weight):
 def interpolate(rows, values, fractions):
     """Trilinear interpolation of eight rows."""
     for fraction in fractions:
+        # The two halves differ in the slowest axis that is left: x, then y, then z.
         half = len(values) // 2
         values = [_mix(rows, low, high, fraction) for low, high in zip(values[:half], values[half:])]
     return values[0]
@@ -101,6 +103,7 @@ def _level_rows(rows, levels, table, level):
 
 def _scatter(rows, levels, target, level, gradient) -> None:
     """Add each of a level's eight vertices' share of a gradient row to the buffer at `target`."""
+    # Backward of interpolate: each axis splits a share f into (1 - w) f and w f, in the order of the corners.
     shares = [gradient]
     for fraction in levels.fractions:
         weight = rows.splat(lane(rows.builder, fraction, level))
@@ -119,15 +122,18 @@ def _sigmoid(rows, z):
         return ir.Constant(rows.type, [value] * count)
 
     u = rows.mul(z, number(-math.log2(math.e)))
+    # Keeps n + 127 a valid exponent; the sigmoid has saturated long before.
     for bound, comparison in ((80.0, ">"), (-80.0, "<")):
         u = b.select(b.fcmp_ordered(comparison, u, number(bound)), number(bound), u)
     # Rounds to nearest: adds half away from zero, then truncates.
     half = b.select(b.fcmp_ordered("<", u, number(0.0)), number(-0.5), number(0.5))
     whole = b.fptosi(b.fadd(u, half), ints)
     fraction = rows.sub(u, b.sitofp(whole, rows.type))
+    # Taylor series of 2^f = exp(f ln 2), by Horner's rule.
     power = number(math.log(2) ** 7 / math.factorial(7))
     for order in range(6, -1, -1):
         power = rows.fused(power, fraction, number(math.log(2) ** order / math.factorial(order)))
+    # 2^n by its bits: n + 127 in a float32's exponent field.
     exponent = b.shl(b.add(whole, ir.Constant(ints, [127] * count)), ir.Constant(ints, [23] * count))
     power = rows.mul(power, b.bitcast(exponent, rows.type))
     return b.fdiv(number(1.0), rows.add(number(1.0), power))
@@ -251,6 +257,7 @@ def _add_slopes(rows, where, table, gradient_of, out) -> None:
     totals: list[list] = [[], [], []]
     for level in range(where.count):
         values, fractions = _level_rows(rows, where, table, level)
+        # The slopes below are per cell; a level has `resolution` cells to the cube.
         gradient = rows.mul(gradient_of(level), rows.splat(lane(rows.builder, where.resolutions, level)))
         for axis, step in enumerate(steps(rows, values, fractions)):
             totals[axis].append(rows.mul(gradient, step))
@@ -263,6 +270,7 @@ def steps(rows, values, fractions):
     """Slopes of the trilinear interpolation along each axis, per cell width."""
     found = []
     for axis in range(3):
+        # The axes before this one are mixed already; the difference along it is mixed along those after it.
         half = len(values) // 2
         found.append(
             interpolate(rows, [rows.sub(h, l) for l, h in zip(values[:half], values[half:])], fractions[axis + 1 :])

@@ -29,6 +29,7 @@ class Rows:
         return self.builder.bitcast(self.builder.gep(pointer, [offset]), self.type.as_pointer())
 
     def load(self, pointer, offset):
+        # Rows start at any float: with a vector's default alignment LLVM may emit loads that fault.
         row = self.builder.load(self._address(pointer, offset))
         row.align = 4
         return row
@@ -70,6 +71,7 @@ class Rows:
     def total(self, row):
         """Sum of a row's elements: halves are added until their length is odd."""
         count, b = self.rank, self.builder
+        # Halves shorten the chain of dependent additions. The order is part of the result's bits (decision 0007).
         while count % 2 == 0:
             count //= 2
             low, high = (
@@ -112,6 +114,7 @@ class _Product:
     def __init__(self, rows, table, first, second, line, fu, fv, fw) -> None:
         add, next_row = rows.builder.add, ir.Constant(first.type, rows.rank)
         self.rows = rows
+        # At (u, v) = (0, 0), (0, 1), (1, 0), (1, 1).
         self.corners = [first, add(first, next_row), second, add(second, next_row)]
         self.ends = [line, add(line, next_row)]
         self.plane_weights, self.line_weights = _weights(rows, fu, fv, fw)
@@ -120,6 +123,7 @@ class _Product:
 
     def scatter(self, gradient, buffer) -> None:
         """Add gradient * dP and gradient * dL to the rows of `buffer`, laid out as the table."""
+        # Product rule: d(P L) = L dP + P dL.
         plane, line = self.rows.mul(gradient, self.line), self.rows.mul(gradient, self.plane)
         for offset, weight in zip(self.ends, self.line_weights):
             self.rows.add_product(buffer, offset, self.rows.splat(weight), line)
@@ -154,6 +158,7 @@ def vm_prefetch(typing, table, at, place0, place1, place2, ranks):
         table_at = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
         for place in args[2:5]:
             for begin in cgutils.unpack_tuple(builder, place)[:3]:
+                # Rows are not aligned to lines: their last float can lie in one more.
                 for step in (*range(0, length - 1, LINE), length - 1):
                     prefetch(builder, table_at, builder.add(begin, ir.Constant(begin.type, step)))
         return context.get_dummy_value()

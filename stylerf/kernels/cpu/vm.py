@@ -104,11 +104,12 @@ def density_backward(density, ranks, samples, sigma_gradients, to):
         shift_gradient = _ZERO
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
+                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
                 if g != _ZERO:
                     shift_gradient += g
                     if k + 1 < stop:
                         following = places(x[k + 1], size, np.int64(len(ranks)))
+                        # Both are read and scattered to at the same offsets: the table and the thread's gradients.
                         vm_prefetch(table, np.int64(0), *following, ranks)
                         vm_prefetch(flat, base, *following, ranks)
                     for m in range(3):
@@ -133,6 +134,7 @@ def density_position_gradient(density, ranks, samples, sigma_gradients, threads,
                         first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
                         vm_slopes(table, first, second, line, fu, fv, fw, slopes, ranks)
                         for axis in range(3):
+                            # Plane m's u, v, w are axes m + 1, m + 2, m; slopes are per cell, size - 1 of them.
                             along = (m + 1 + axis) % 3
                             position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
 
@@ -160,6 +162,7 @@ def color(parameters, ranks, points, basis, threads, out):
                     continue
                 if k + 1 < stop and weights[k + 1] > _ZERO:
                     vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
+                # Head times direction, once per ray and only if the ray has a sample to color.
                 if not ready:
                     head_of(head, basis, r, width, ray_head)
                     ready = True
@@ -210,6 +213,7 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
             if ready:
                 for j in range(3):
                     for b in range(bands):
+                        # The ray's head is sum_b Y_b head_b: its gradient reaches band b times Y_b.
                         w = basis[r, b]
                         for m in range(3):
                             axpy_row(
@@ -262,6 +266,7 @@ def smoothness_backward(table, size, ranks, strength, to):
     for m in range(3):
         rows, columns = size[(m + 1) % 3], size[(m + 2) % 3]
         across = columns * rank
+        # As in hash_grid.py, a texel writes its own gradient only: threads share the one buffer without a race.
         for i in prange(rows):
             for j in range(columns):
                 here = at + (i * columns + j) * rank

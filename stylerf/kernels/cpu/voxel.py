@@ -83,7 +83,7 @@ def density_backward(density, widths, samples, sigma_gradients, to):
         offsets, g = np.empty(8, np.int64), np.empty(1, np.float32)
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g[0] = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e)
+                g[0] = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
                 if g[0] != _ZERO:
                     shift_gradient += g[0]
                     fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
@@ -159,11 +159,12 @@ def features_position_gradient(table, links, widths, x, index, gradients, thread
 def smoothness_backward(table, links, width, strength, to):
     """Add strength * d/dt of half the summed squared differences between neighboring allocated vertices."""
     size = links[:3].astype(np.int64)
+    # A vertex writes its own gradient only: threads share the one buffer without a race.
     for i in prange(size[0]):
         for j in range(size[1]):
             for k in range(size[2]):
                 here = row_of(links, i, j, k)
-                if here < 64:
+                if here < 64:  # block 0, which never learns
                     continue
                 for axis in range(3):
                     for way in (-1, 1):

@@ -21,6 +21,7 @@ def adam_kernel(
     v = beta2 * tl.load(second + at, mask=mask, other=0.0) + (1.0 - beta2) * g * g
     tl.store(first + at, m, mask=mask)
     tl.store(second + at, v, mask=mask)
+    # Runs that are skipped hold zeros already.
     tl.store(gradients + at, 0.0 * at.to(tl.float32), mask=mask)
     down = rate * (m / correction1) / (tl.sqrt(v / correction2) + epsilon)
     tl.store(values + at, tl.load(values + at, mask=mask, other=0.0) - down, mask=mask)

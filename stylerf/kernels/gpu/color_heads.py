@@ -17,6 +17,7 @@ from stylerf.kernels.gpu.shading import bands_of, of_channel, sigmoid, sum_of_ch
 from stylerf.kernels.gpu.tables import piece, piece_scatter
 
 LINEAR, HARMONIC, MLP = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
+# Slices that begin anywhere in a part's values: Triton would compile again for those that happen to be aligned.
 UNALIGNED = ["numbers", "numbers_to"]
 MOST_BANDS = tl.constexpr(16)  # columns of the tile of harmonics: products of tiles need as many
 
@@ -40,6 +41,7 @@ def _first_rows(numbers, first: tl.constexpr, place, COUNT: tl.constexpr, UNITS:
 @triton.jit
 def _from_direction(numbers, basis, band, FEATURES: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr):
     """[samples, UNITS]: b1 + sum_b Y_b W1_b."""
+    # ieee here and below: by default tl.dot may round float32 to TF32, which keeps ten bits of the fraction.
     sums = tl.dot(basis, _first_rows(numbers, FEATURES, band, BANDS, UNITS), input_precision="ieee")
     return sums + tl.load(numbers + (FEATURES + BANDS) * UNITS + tl.arange(0, UNITS))[None, :]
 
@@ -55,6 +57,7 @@ def hidden_layer(
         phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
         rows = _first_rows(numbers, m * RANK, columns, RANK, UNITS)
         sums = tl.dot(phi, rows, acc=sums, input_precision="ieee")
+    # tl.maximum would turn a NaN into 0.
     return tl.where(sums < 0.0, 0.0, sums), phi
 
 
@@ -70,6 +73,7 @@ def color_kernel(
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside, valid, ray = to_color(k, count, ray_of, weights, largest, weight_threshold)
+        # A block without a visible sample reads no table.
         if tl.max(valid.to(tl.int32), axis=0) > 0:
             x, y, z = vector(points, k, valid)
             dx, dy, dz = vector(directions, ray, valid)
@@ -85,6 +89,7 @@ def color_kernel(
                 green = tl.sum(layer * tl.load(second + UNITS + unit)[None, :], axis=1) + tl.load(bias + 1)
                 blue = tl.sum(layer * tl.load(second + 2 * UNITS + unit)[None, :], axis=1) + tl.load(bias + 2)
             elif HEAD == LINEAR:
+                # An output per channel and band: head_b . phi first, then times Y_b, then summed by channel.
                 sums = tl.zeros([BLOCK, UNITS], tl.float32)
                 for m in tl.static_range(PIECES):
                     phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
@@ -114,6 +119,7 @@ def linear_backward_kernel(
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, UNITS)
     # Every sample speaks to the head: a program adds up its own samples first.
+    # One name per piece: Triton's loops carry tensors, not arrays of them.
     head0 = tl.zeros([UNITS, WIDTH], tl.float32)
     head1 = tl.zeros([UNITS, WIDTH], tl.float32)
     head2 = tl.zeros([UNITS, WIDTH], tl.float32)
@@ -210,7 +216,7 @@ def mlp_backward_kernel(
         back = g0[:, None] * tl.load(second + unit)[None, :]
         back += g1[:, None] * tl.load(second + UNITS + unit)[None, :]
         back += g2[:, None] * tl.load(second + 2 * UNITS + unit)[None, :]
-        back = tl.where(layer == 0.0, 0.0, back)
+        back = tl.where(layer == 0.0, 0.0, back)  # relu' is 0 at a unit that is off
         of_bias += tl.sum(back, axis=0)
         of_bands = tl.dot(tl.trans(basis), back, acc=of_bands, input_precision="ieee")
         for m in tl.static_range(PIECES):

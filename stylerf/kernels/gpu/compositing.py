@@ -25,6 +25,7 @@ def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK:
     """
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
+    # All lanes walk as far as the program's longest ray; those whose ray has ended load zeros.
     red, green, blue, depth, total, colored = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
         own = i < count
@@ -55,6 +56,7 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
+    # Three passes: the sum of weights, where half of it is reached, the mean around there (decision 0032).
     total, passed, at, near, depth = zero, zero, zero, zero, zero
     for i in range(0, longest):
         total += tl.load(weights + first + i, mask=i < count, other=0.0)
@@ -95,6 +97,7 @@ def composite_backward_kernel(
     mean += g1 * tl.load(out + at + 1, mask=valid, other=0.0)
     mean += g2 * tl.load(out + at + 2, mask=valid, other=0.0)
     mean = tl.where(total > 0.0, mean / tl.where(total > 0.0, total, 1.0), 0.0)
+    # Two passes, as on the CPU, but the second computes D_k again: a lane cannot keep those of a whole ray.
     behind = 0.0 * total
     longest = tl.max(count, axis=0)
     for i in range(0, longest):
@@ -122,10 +125,12 @@ def composite_backward_kernel(
         d += tl.where(shown, g0 * c0 + g1 * c1 + g2 * c2, mean)
         behind -= tl.where(own, w * d, 0.0)
         transmittance -= w
+        # With a distance of 0 no sample is nearer, and none is scaled.
         near = far / tl.maximum(near_scaling_distance, 1e-9)
         even = tl.where(far < near_scaling_distance, near * near, 1.0)
         s = length * (transmittance * d - behind)
         tl.store(sigma_gradients + k, s * even, mask=own)
+        # Left undefined where there is no color: to_learn() does not read them there.
         store_vector(color_gradients, k, w * g0 * even, w * g1 * even, w * g2 * even, shown)
 
 
@@ -149,6 +154,7 @@ def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients,
         difference = found - tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover - (1.0 - cover) * back
         error += tl.where(own, difference * difference, 0.0)
         g = difference * scale
+        # d(out + (1 - alpha) back)/d(alpha) = -back
         of_alpha -= g * back
         tl.store(gradients + offset(r, 5, a), tl.where(own, g, 0.0), mask=valid)
     tl.store(gradients + offset(r, 5, 3), tl.where(own, of_alpha, 0.0), mask=valid)

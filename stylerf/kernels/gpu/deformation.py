@@ -63,6 +63,7 @@ def density_position_kernel(
             u, v, w = tl.sum(u, axis=1), tl.sum(v, axis=1), tl.sum(w, axis=1)
             bx, by, bz = turned(m, u, v, w, s0, s1, s2)
             ax, ay, az = ax + g * bx, ay + g * by, az + g * bz
+        # A sample belongs to one lane, and launches follow one another: no atomics needed.
         store_vector(out, k, ax, ay, az, valid)
 
 
@@ -105,6 +106,7 @@ def level_slopes(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y,
     for corner in tl.static_range(8):
         row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
         values = tl.load(table + row[:, None] + lane[None, :], mask=mask[:, None], other=0.0).to(tl.float32)
+        # A corner's weight wx wy wz has the slope +-wy wz along x, and so on.
         along = tl.sum(values * gradient, axis=1)
         wx = fx if corner // 4 == 1 else 1.0 - fx
         wy = fy if (corner // 2) % 2 == 1 else 1.0 - fy
@@ -183,6 +185,7 @@ def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, 
     found = n.to(tl.int32) * 0
     if tl.max(near.to(tl.int32), axis=0) > 0:
         i, j, k = (n // cells // cells)[:, None], (n // cells % cells)[:, None], (n % cells)[:, None]
+        # A lattice of 3^3 points, 2 % inside the cell, so that rounding leaves them there.
         looks = near[:, None] & (point < 27)
         x = (i.to(tl.float32) + (0.02 + 0.48 * (point // 9))) / cells
         y = (j.to(tl.float32) + (0.02 + 0.48 * (point // 3 % 3))) / cells

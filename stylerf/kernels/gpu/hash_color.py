@@ -48,6 +48,7 @@ def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z
     lane = tl.arange(0, 4)
     for corner in tl.static_range(8):
         row = vertex_row(layout, level, LEVELS, i + corner // 4, j + (corner // 2) % 2, k + corner % 2)
+        # Atomics: other samples share the vertex, in a hashed level even distant ones.
         part = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
         tl.atomic_add(to + row[:, None] + lane[None, :], part, mask=mask[:, None], sem="relaxed")
 

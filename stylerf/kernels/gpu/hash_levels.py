@@ -25,6 +25,7 @@ def vertex_number(times_x, times_y, mask, hashed, i, j, k):
 @triton.jit
 def _levels_of(layout, columns, LEVELS: tl.constexpr, ROW: tl.constexpr):
     """(vertices a side, multipliers of x and y, mask, first float of the column, hashed), [1, WIDTH] each."""
+    # Columns beyond the last level repeat it: addresses stay valid, and the caller's mask leaves them out.
     level = tl.minimum(columns // ROW, LEVELS - 1)[None, :]
     first = tl.load(layout + 4 * LEVELS + level) + (columns % ROW)[None, :]
     return (

@@ -66,7 +66,7 @@ def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, room: int | No
     _march_rays(inputs, density, rays, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
     if room is None:
-        room = int(last[-1]) if n else 0
+        room = int(last[-1]) if n else 0  # waits for the device
     t, deltas, sigma, weights = (torch.empty(room, device=device) for _ in range(4))
     points, ray_of = torch.empty((room, 3), device=device), torch.empty(room, dtype=torch.int32, device=device)
     samples = GpuSamples(starts, ends, counts, largest, total, t, deltas, points, sigma, weights, ray_of)
@@ -78,6 +78,7 @@ def _march_rays(
     inputs: GpuMarchInputs, density, rays: GpuRays, samples: GpuSamples, last: Tensor, room: int, fill: bool
 ) -> None:
     n, s = len(rays.origins), samples
+    # Without a displacement it is not read, but the kernel needs a pointer.
     moved = rays.origins if inputs.displacement is None else inputs.displacement
     over(
         march.march_kernel, n, RAYS, inputs.space, rays.origins, rays.directions, rays.jitter,

@@ -65,6 +65,7 @@ def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
 def _clip_axis(o, d, low, scale, t0, t1):
     p, v = (o - low) * scale, d * scale
     parallel = tl.abs(v) < TINY
+    # Lanes cannot branch: parallel rays divide by 1, and the results are not used.
     i = 1.0 / tl.where(parallel, 1.0, v)
     u, w = -p * i, (1.0 - p) * i
     missed = parallel & ((p < 0.0) | (p > 1.0))
@@ -91,6 +92,7 @@ def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distan
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
     """
     far = mask & (distance > 1)
+    # In a box the CPU leaves the empty cells exactly; here that takes several skips.
     reach = (distance.to(tl.float32) - 1.0) / cells
     steps = tl.where(far, tl.maximum((reach / step).to(tl.int32), 1), 1)
     if KIND == 1:
@@ -180,12 +182,13 @@ def march_kernel(
     weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
     table to layout, DENSITY, RANK, WIDTH: the density, see tables.raw_density.
     """
+    # Both launches run this loop: enter, skip or sample until all lanes are done, then the background's sample.
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     valid = r < rays
     ox, oy, oz = vector(origins, r, valid)
     dx, dy, dz = vector(directions, r, valid)
     t, end = ray_span(KIND, space, ox, oy, oz, dx, dy, dz, near + 0.0 * ox, far)
-    end = tl.where(valid, end, -1.0)
+    end = tl.where(valid, end, -1.0)  # lanes beyond the last ray never march
     most = tl.where(valid, samples_per_ray, 0)
     begin = r.to(tl.int64) * 0
     if FILL:
@@ -219,6 +222,7 @@ def march_kernel(
                 newest = tl.where(hit, w, newest)
             transmittance = tl.where(hit, transmittance * transmitted, transmittance)
             found = tl.where(hit, found + 1, found)
+        # `taken` is 1 after a sample.
         t = tl.where(active, t + dt * taken.to(tl.float32), t)
         turns += 1
         lit = transmittance >= min_transmittance

@@ -15,6 +15,7 @@ def _below(bits, bound):
 @triton.jit
 def _unit(bits):
     """0 <= x < 1 from 32 random bits."""
+    # 2^-24: a float32 holds 24 bits exactly, while 32 could round up to 1.
     return (bits.to(tl.uint32) >> 8).to(tl.float32) * 5.9604644775390625e-08
 
 
@@ -27,6 +28,7 @@ def view_of(index, view_ends, views, STEPS: tl.constexpr):
         middle = (low + high) // 2
         beyond = tl.load(view_ends + middle) > index
         high = tl.where(beyond, middle, high)
+        # min: once both have met, the remaining steps must not move on.
         low = tl.where(beyond, low, tl.minimum(middle + 1, high))
     return low
 
@@ -53,7 +55,7 @@ def ray_of_pixel(
     blue = tl.load(own + tl.load(bytes_ + at + 2, mask=mask, other=0).to(tl.int32))
     alpha = red * 0.0 + 1.0
     if CHANNELS == 4:
-        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * 0.00392156862745098
+        alpha = tl.load(bytes_ + at + 3, mask=mask, other=0).to(tl.float32) * 0.00392156862745098  # 1 / 255
     return tl.load(row + 3), tl.load(row + 7), tl.load(row + 11), dx, dy, dz, red, green, blue, alpha
 
 
@@ -98,6 +100,7 @@ def draw_kernel(
     local = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     mask = local < rays
     number = local + first
+    # Two counters a ray, of four words each; numbered within the batch, not within this part of it.
     a, b, c, _d = tl.randint4x(seed, number * 2)
     r0, r1, r2, _r3 = tl.randint4x(seed, number * 2 + 1)
     index = _below(a, total + 0 * local.to(tl.int64))

@@ -91,6 +91,7 @@ def color_kernel(
                 own = sigmoid(logit(f, lane, j))
                 base = tl.minimum(tl.maximum(tl.load(at, mask=valid, other=0.5), LEAST), 1.0 - LEAST)
                 both = base * own
+                # sigmoid(logit(p) + logit(q)) = p q / (p q + (1 - p)(1 - q)), without logarithms.
                 tl.store(at, both / (both + (1.0 - base) * (1.0 - own)), mask=valid)
 
 

@@ -12,6 +12,7 @@ def to_color(k, count, ray_of, weights, largest, weight_threshold):
     inside = k < count
     ray = tl.load(ray_of + k, mask=inside, other=0)
     w = tl.load(weights + k, mask=inside, other=0.0)
+    # w > 0: on a ray without any weight every sample reaches the threshold, which is 0.
     return inside, inside & (w > 0.0) & (w >= weight_threshold * tl.load(largest + ray, mask=inside, other=0.0)), ray
 
 

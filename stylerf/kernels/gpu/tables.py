@@ -29,6 +29,7 @@ def raw_density(
     """exp(shift + features) of points; shift: pointer. The table may be in half precision."""
     columns = tl.arange(0, WIDTH)
     mask = valid[:, None] & (columns[None, :] < RANK)
+    # x * 0.0, here and in other kernels: zeros of the shape of x.
     total = x * 0.0 + tl.load(shift)
     if DENSITY == VM:
         for m in tl.static_range(3):
@@ -72,6 +73,7 @@ def density_backward_kernel(
         valid = inside & (g != 0.0)
         x, y, z = vector(points, k, valid)
         mask = valid[:, None] & (columns[None, :] < RANK)
+        # All samples share the shift: one atomic for a block, not one for each (decision 0019).
         tl.atomic_add(shift_to, tl.sum(tl.where(valid, g, 0.0), axis=0), sem="relaxed")
         if DENSITY == VM:
             for m in tl.static_range(3):

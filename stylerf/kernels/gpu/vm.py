@@ -48,6 +48,7 @@ def product(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr,
 @triton.jit
 def scatter(to, first, second, line, fu, fv, fw, plane, along, gradient, columns, RANK: tl.constexpr, mask):
     """Add gradient [samples, WIDTH] times d(plane * along) to the rows of `to`, laid out as the table."""
+    # Product rule: d(P L) = L dP + P dL.
     dp, dl = gradient * along, gradient * plane
     upper, lower, ends = first[:, None], second[:, None], line[:, None]
     at = columns[None, :]

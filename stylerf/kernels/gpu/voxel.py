@@ -56,6 +56,7 @@ def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.
     for corner in tl.static_range(8):
         row = row_of(links, s1, s2, i + corner // 4, j + (corner // 2) % 2, k + corner % 2, valid)
         share = trilinear_corner(corner, fx, fy, fz)[:, None] * gradient
+        # Block 0 stands for all empty space: it never learns, and nothing would clear its gradients.
         kept = mask & (row >= 64)[:, None]
         tl.atomic_add(to + offset(row[:, None], ROW, columns[None, :]), share, mask=kept, sem="relaxed")
 
