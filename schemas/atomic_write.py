@@ -106,10 +106,13 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         with writing(path):
             yield temporary
+            # Bytes first, then the name, then the folder's entry: a rename that reaches the disk before the bytes would
+            # leave an empty file after a power cut.
             sync_file(temporary)
             os.replace(temporary, path)
             sync_folder(path.parent)
     finally:
+        # After a successful rename nothing is left under this name.
         temporary.unlink(missing_ok=True)
 
 

@@ -32,9 +32,11 @@ class Journal:
         """Record files, by paths below the root, as they are now; they must be flushed to disk already."""
         fresh = {name: file_sha256(self._root / name) for name in names}
         text = "".join(json.dumps(pair) + "\n" for pair in fresh.items())
+        # Not flushed: what a power cut takes from the journal is only computed again.
         handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NOFOLLOW, 0o666)
         with open(handle, "w", encoding="utf-8") as stream:
             stream.write(text)
+        # After the write: a file that the journal does not hold must not count as recorded.
         self._digests |= fresh
 
     def holds(self, names: Iterable[str]) -> bool:

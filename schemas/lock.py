@@ -73,6 +73,7 @@ class Lock:
         if not free:
             os.close(handle)
             raise self._held_by("unknown")
+        # The new lock first: at no moment are both folders free.
         self._close_folder()
         self._folder = handle
 
@@ -112,6 +113,7 @@ def _opened(path: Path) -> int:
     """Open the lock file, creating it if missing; WouldBeLost if it is something else."""
     if not NOFOLLOW and path.is_symlink():
         raise _not_ours(path)
+    # A link would let us truncate its target; opening a pipe without NONBLOCK would wait for its other end.
     flags = NOFOLLOW | NONBLOCK
     with writing(path):
         try:
@@ -129,6 +131,7 @@ def _opened(path: Path) -> int:
             raise _not_ours(path) from error
     try:
         found = os.fstat(handle)
+        # Checked on the open file, which cannot be exchanged any more. A second hard link would be written to as well.
         ours = stat.S_ISREG(found.st_mode) and found.st_nlink <= 1 and found.st_size <= 100
         text = _text(handle) if ours else b""
         if not ours or (text and not _OWN_TEXT.fullmatch(text)):
@@ -163,6 +166,7 @@ def _not_ours(path: Path) -> WouldBeLost:
 
 def _is_still(path: Path, handle: int) -> bool:
     try:
+        # Same device and inode: a lock on a deleted file excludes nobody who opens the new one.
         return os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(handle))
     except FileNotFoundError:
         return False

@@ -79,6 +79,7 @@ class PartialArtifact:
             self._refuse_links()
             if self.folder.exists():
                 self._lock.hold_folder(self.folder)
+            # In this order: first undo what a killed swap left, then judge what the artifact's place holds.
             self._restore_replaced()
             self._restore_ready()
             self._refuse_to_bury()
@@ -143,13 +144,16 @@ class PartialArtifact:
 
     def _start_afresh(self) -> None:
         with writing(self.folder):
+            # The folder's lock goes with the old folder; the lock file keeps others out until the new one is held.
             self._delete()
         make_folder(self.path)
         self._lock.hold_folder(self.folder)
+        # Last: a folder without a recipe is never resumed, so a kill before this costs nothing.
         stored = {**asdict(self.recipe), "digest": self.recipe.digest, "rebuild": self.rebuild}
         write_json(self.folder / "recipe.json", stored)
 
     def _restore_replaced(self) -> None:
+        # Killed between the two renames of a swap that the disk cannot do in one: put the old artifact back.
         replaced = replaced_by(self.target.parent.parent, self.kind, self.name)
         if replaced.is_dir() and not os.path.lexists(self.target):
             os.rename(replaced, self.target)
@@ -157,6 +161,7 @@ class PartialArtifact:
     def _restore_ready(self) -> None:
         """Take back the files of a run that was killed while they were moved into place."""
         ready = self.folder / "ready"
+        # `ready` is ours only before the swap; after it, `ready` is the artifact that was replaced.
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
         if made == [True, False] and not self.path.exists():
             os.rename(ready, self.path)
@@ -198,6 +203,7 @@ class PartialArtifact:
                 threads=threads,
             )
             self._refuse_to_bury()
+            # Last of the files: a manifest makes them an artifact, so they must be on the disk before it.
             write_bytes(self.path / MANIFEST, manifest.to_bytes())
             self._swap()
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -219,6 +225,7 @@ class PartialArtifact:
         for folder in [*(item for item in self.path.rglob("*") if item.is_dir()), self.path]:
             sync_folder(folder)
         ready = self.folder / "ready"
+        # `files` is gone from here on, which marks the run as finished; a kill leaves `ready` for _restore_ready().
         os.rename(self.path, ready)
         if not os.path.lexists(self.target):
             os.rename(ready, self.target)

@@ -49,6 +49,7 @@ def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> l
     """Return header and arrays in the order of the file."""
     rank = list(TYPES)
     whole = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in tensors.items()}
+    # TYPES go from small to large items: with the largest first, every array starts aligned to its own.
     names = sorted(whole, key=lambda name: (-rank.index(whole[name].dtype.name), name))
     header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}
     at = 0
@@ -58,6 +59,7 @@ def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> l
         header[name] = {"dtype": TYPES[array.dtype.name], "shape": list(array.shape), "data_offsets": [at, end]}
         at = end
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+    # The data begin at a multiple of 8, so that aligned arrays stay aligned when a reader maps them.
     text += b" " * (-len(text) % 8)
     return [len(text).to_bytes(8, "little") + text, *(whole[name].reshape(-1).view(np.uint8).data for name in names)]
 

@@ -59,6 +59,7 @@ def join(verb: str, device: Callable[[], str]) -> "ProcessGroup":
     try:
         found = device()
     except UsageError as error:
+        # Every process must still reach the comparison, or the others would wait for it.
         found = str(error)
     try:
         return _reporting_loss(DistributedProcesses, found)
@@ -71,6 +72,7 @@ def lead(processes: "ProcessGroup", run: "Run", parallel: bool) -> "Run":
 
     def run_led(*arguments: Any) -> dict[str, Any]:
         if parallel:
+            # Announced when the leader really runs: with the lock taken, and the artifact not up to date.
             _reporting_loss(processes.tell, RUN)
         return _reporting_loss(run, *arguments)
 

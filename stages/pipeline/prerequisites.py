@@ -35,6 +35,7 @@ def input_of(work: WorkFolder, artifact: Artifact, kind: str, role: str = "") ->
     for ref in artifact.manifest.inputs:
         if ref.kind == kind and role in ("", ref.role):
             found = work.get(kind, ref.name)
+            # By digest, not by time: a rebuild to the same bytes leaves everything after it valid.
             if found.digest != ref.digest:
                 raise ArtifactStale(
                     f"{kind} {ref.name} was rebuilt after {artifact.kind} {artifact.name}; rebuild that too: "

@@ -127,6 +127,7 @@ class StageRunner:
             ArtifactStale: a prerequisite is not up to date and `only` is set. The message holds the command to run.
         """
         if not self.processes.first:
+            # Followers never look whether the artifact is up to date: the leader decides, and may be writing it.
             made = follow(self.processes, run, inputs, config, self.context, self.work.root)
             return self.work.get(spec.writes, made)
         if self.processes.count > 1:
@@ -173,6 +174,7 @@ class StageRunner:
             made = self.made_from(spec.writes, spec.stage, source)
             return "" if made is None or self.work.outdated(made) else made.name
 
+        # Only names travel between processes: each opens the artifact itself.
         found = agree(self.processes, name)
         return self.work.get(spec.writes, found) if found else None
 

@@ -68,6 +68,7 @@ class Clock:
 
     def __exit__(self, *_: object) -> None:
         self._stop.set()
+        # Joined before the last save, or the thread could write an older reading over it.
         self._thread.join()
         self._save()
 
@@ -80,6 +81,7 @@ class Clock:
     def peak_mb(self) -> float:
         """Peak memory of this process, its children and the interrupted runs, MB."""
         children = _children_peak_mb()
+        # The system keeps the peak of all children ever: an older stage's must not count for this one.
         grown = children if children > self._children_before else 0.0
         return max(self._before["peak_memory_mb"], peak_memory_mb(), grown)
 

@@ -30,6 +30,7 @@ def gpu_of(context: Context, field: Any = None, moving: bool = False) -> str | N
         from stylerf.fields.gpu.field import unsupported
 
         why = unsupported(field, moving)
+    # A process that fell back to the CPU by itself would wait for sums that the others add on their GPUs.
     lacking = np.array([why is not None], np.float32)
     context.processes.add(lacking)
     if 0 < lacking[0] < context.processes.count:

@@ -122,4 +122,4 @@ def available_bytes(bound: int) -> int:
     """
     if bound:
         return max(0, bound - used())
-    return int(FREE_SHARE * free()) // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return int(FREE_SHARE * free()) // int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # set by torchrun

@@ -176,6 +176,7 @@ def _run(
         if clock.runs > 1:
             figures = {**figures, "runs": clock.runs}
         seconds, peak = clock.seconds, clock.peak_mb
+    # Before the commit: the recipe names inputs by digest, and must not name what the run did not read.
     _refuse_changed(spec, partial.recipe, inputs, config)
     return partial.commit(
         device=context.device, threads=context.threads, versions=versions(), seconds=seconds, peak_memory_mb=peak,
@@ -221,6 +222,7 @@ def _keeps_run(error: BaseException) -> bool:
     if isinstance(error, StylerfError) and error.keeps_run:
         return True
     behind: BaseException | None = error
+    # Stages wrap I/O errors in their own: the cause decides.
     while behind is not None:
         if isinstance(behind, OSError) and _passes(behind):
             return True

@@ -30,10 +30,12 @@ def save_checkpoint(folder: Path, data: dict[str, Any], arrays: dict[str, np.nda
     """
     earlier = _kept(folder)
     number = earlier[0][0] + 1 if earlier else 1
+    # The final name holds the digest, known only once all is written; _kept() ignores this one.
     writing = folder / "writing.safetensors"
     digest = save_tensors_with_digest(writing, arrays, {"state": json.dumps(data)})
     os.replace(writing, folder / f"{number:06d}-{digest}.safetensors")
     sync_folder(folder)
+    # Deleted last, so that a kill leaves one too many and never one too few.
     for _, _, path in earlier[KEPT - 1 :]:
         path.unlink(missing_ok=True)
 
@@ -85,6 +87,7 @@ def resumed(trainer: Resumable, partial: PartialArtifact, context: Context) -> b
         ArtifactDamaged: the checkpoint is none of this trainer.
     """
     processes = context.processes
+    # Only the first reads the disk: others may be on other machines.
     saved = processes.checkpoint(load_checkpoint(partial.checkpoint, context.progress.say) if processes.first else None)
     if saved is None:
         return False
@@ -131,6 +134,7 @@ def run_training(
 
     def save() -> None:
         nonlocal saved_at
+        # State and values are the same in every process; followers have no folder to write to.
         if context.processes.first:
             save_checkpoint(partial.checkpoint, *trainer.checkpoint())
         saved_at = time.monotonic()

@@ -71,6 +71,7 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
     center, or the largest of eight points for fewer than FINE cells per axis. Only cells that overlap occupied ones are
     evaluated.
     """
+    # 1 - exp(-OPTICAL_SCALE sigma / cells) = opacity, solved for sigma: a cell is 1/cells long (decision 0002).
     least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
     corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1).astype(np.int32)
     candidates = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
@@ -89,8 +90,10 @@ def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
     """Mark cells that overlap an occupied one of [s, s, s]; [cells, cells, cells] bool."""
     ends = np.arange(cells + 1) * occupied.shape[0]
     spans = np.stack([ends[:-1] // cells, -(-ends[1:] // cells)], 1).ravel()  # from the first to beyond the last
+    # A span may end at s, which reduceat refuses as an index; the padding cell is empty.
     out = np.pad(occupied, (0, 1))
     for axis in range(3):
+        # reduceat also reduces from each span's end to the next one's beginning: every second result is dropped.
         out = np.logical_or.reduceat(out, spans, axis).take(np.arange(0, 2 * cells, 2), axis)
     return out
 
@@ -123,6 +126,7 @@ def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -
     frontier, seen, looked = np.flatnonzero(marked), marked.copy(), 0
     while len(frontier) and looked < most:
         around = neighbors(frontier, s)
+        # Sorted by neighbors(), so the cut is the same every time.
         around = around[~seen[around]][: most - looked]
         seen[around] = True
         looked += len(around)

@@ -62,9 +62,11 @@ class EditView:
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (upper, lower, left, right): indices into `pixels` of all vertical and horizontal neighbors."""
+        # Padded by a row and a pixel: below the last row, and right of the last pixel, the index stays inside.
         place = np.full(self.width * (self.height + 1) + 1, -1, np.int64)
         place[self.pixels] = np.arange(len(self.pixels))
         below = place[self.pixels + self.width]
+        # The pixel after a row's last is the next row's first, no neighbor.
         beside = np.where(self.pixels % self.width < self.width - 1, place[self.pixels + 1], -1)
         upper, left = np.flatnonzero(below >= 0), np.flatnonzero(beside >= 0)
         return upper, below[upper], left, beside[left]
@@ -116,7 +118,7 @@ def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], 
             weights = foreground if marked is EVERYWHERE else s.weights
             ends_inside(own, marked.shape[0], s.shading_points(weights), s.t, chunks, out[part])
     for out in outs:
-        out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)
+        out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)  # sums to means; stays 0 where nothing is inside
     return outs
 
 
@@ -178,6 +180,7 @@ def seen_of_view(
 
 def _along(field: RadianceField, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Return the change of x [n, 3], in the cube, over one jitter: the view's depth range divided by JITTERS."""
+    # Central difference: the warp is nonlinear, so the step in the cube depends on the depth.
     half = (depth.max() - depth.min()) / (2 * JITTERS)
     ends = [field.space.warp(origins + directions * (depth + side)[:, None]) for side in (-half, half)]
     return (ends[1] - ends[0]).astype(np.float32)
@@ -198,6 +201,7 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
     if not touching.any():
         return np.zeros(len(x), np.float32)
     unwarp = field.space.unwarp
+    # In unbounded spaces the border of the cube is infinitely far.
     there, here = (unwarp(np.clip(p, 1e-6, 1 - 1e-6)) for p in (ends[touching, 3:], x))
     away, _ = cKDTree(there).query(here, distance_upper_bound=reach)
     return (1 - np.minimum(away, reach) / reach).astype(np.float32)
@@ -216,6 +220,7 @@ def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndar
     zeta = np.zeros((*depth.shape, 2), np.float32)
     for axis in (0, 1):
         d, c, w = (np.moveaxis(values, axis, 0) for values in (depth, colors, sure))
+        # Pixels beyond the border have weight 0: an edge needs two sure pixels on either side.
         w = np.pad(w, ((1, 1), (0, 0)))
         step = np.abs(d[:-1] - d[1:]) / spread * np.abs(c[:-1] - c[1:]).sum(-1)
         np.moveaxis(zeta[..., axis], axis, 0)[:-1] = np.clip(w[:-3] * w[1:-2] * w[2:-1] * w[3:] * step, 0, 1)

@@ -27,6 +27,7 @@ class GpuRayEnds:
         self._there: list[tuple[np.ndarray, Tensor]] = []
 
     def _marked(self, grid: np.ndarray) -> Tensor:
+        # By identity: grids are not hashable, and comparing their cells would cost as much as a copy.
         for here, there in self._there:
             if here is grid:
                 return there

@@ -115,11 +115,13 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
         if found is None:
             continue
         added = float(areas @ (normals @ found + depths)) / 3
+        # The slack keeps ties with the first edge, whatever rounding makes of them.
         if best is None or added < best[0] - 1e-12:
             best = added, first, second, found
     if best is None:
         return None
     _, first, second, point = best
+    # Corners that the new point has put inside are dropped by the next hull.
     left = np.concatenate([np.delete(corners, [first, second], 0), point[None]])
     return left[ConvexHull(left).vertices]
 
@@ -151,6 +153,7 @@ def mixing_weights(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
 
     Barycentric coordinates for four corners; for more, the sparse solution of the active-set method.
     """
+    # sum w = 1 as a heavy fourth equation: NNLS knows only w >= 0.
     rows = np.concatenate([np.asarray(palette, np.float64).T, np.full((1, len(palette)), SUM_WEIGHT)])
     found = np.stack([nnls(rows, np.append(color, SUM_WEIGHT))[0] for color in np.asarray(colors, np.float64)])
     return found / found.sum(1, keepdims=True)

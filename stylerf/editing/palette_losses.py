@@ -72,6 +72,7 @@ def offset_size(offsets: Tensor) -> Tensor:
 
 def outside_gamut(palette: Tensor) -> Tensor:
     """Return L_valid, a scalar: sum of floor(P) P, 0 for P in [0, 1). No gradient through the floor."""
+    # floor is -1 below 0, 1 in 1..2: the gradient pulls inwards from both sides.
     return (palette.detach().floor() * palette).sum()
 
 
@@ -193,6 +194,7 @@ def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray
     Returns:
         [colors] bool.
     """
+    # Stable: equal shares keep the palette's order on every machine.
     order = np.argsort(-shares, kind="stable")
     chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
     out = np.zeros_like(active)

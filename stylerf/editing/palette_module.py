@@ -152,6 +152,7 @@ class PaletteModule(PaletteEvaluator):
             found.append(hidden)
         logits, offsets = found
         kept = torch.from_numpy(np.flatnonzero(self.active)) if kept is None else kept
+        # Over the active colors only, so that pruned ones renormalize the rest (LAENeRF, supplement 1.2).
         weights = torch.softmax(logits if len(kept) == count else logits[:, kept], 1)
         offsets = torch.tanh(offsets)
         palette = self.palette_of(values)[kept]
@@ -195,6 +196,7 @@ class PaletteModule(PaletteEvaluator):
         if transition is not None:
             own = np.asarray(transition, np.float32)[:, None]
         mixed = own * weights + (1 - own) * new_weights
+        # w' (lambda P + (1 - lambda) P_edited), without a palette per point.
         out = own * (mixed @ palette) + (1 - own) * (mixed @ new_palette) + offsets
         return np.clip(out, 0, 1).astype(np.float32)
 
@@ -246,7 +248,7 @@ def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count:
     colors = np.asarray(colors, np.float64)
     centers = colors[generator.integers(len(colors))][None]
     while len(centers) < count:
-        apart = np.square(colors[:, None] - centers).sum(-1).min(1)
+        apart = np.square(colors[:, None] - centers).sum(-1).min(1)  # [n]: to the nearest center
         total = apart.sum()
         chosen = generator.choice(len(colors), p=apart / total) if total > 0 else generator.integers(len(colors))
         centers = np.concatenate([centers, colors[chosen][None]])

@@ -40,7 +40,7 @@ class GpuPaletteModule(PaletteEvaluator):
     @property
     def kept(self) -> Tensor:
         """Indices of the active colors."""
-        active = self.module.active.tobytes()
+        active = self.module.active.tobytes()  # asked for in each step; changes once, at the pruning
         if self._known[0] != active:
             self._known = active, torch.from_numpy(np.flatnonzero(self.module.active)).to(self.device)
         return self._known[1]
@@ -51,6 +51,7 @@ class GpuPaletteModule(PaletteEvaluator):
 
     def features(self, x: Tensor, to: Tensor) -> Tensor:
         """Encode points of the box [n, 3] differentiably, [n, 4 levels]; backward adds dL/d(table) to `to`."""
+        # The hook makes autograd call backward although no input needs a gradient: the table is no leaf of the graph.
         phi: Tensor = _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
         return phi
 

@@ -76,7 +76,7 @@ class RegionStyle:
         rows, columns = view.window
         height, width = int(rows.stop - rows.start), int(columns.stop - columns.start)
         row, column = np.divmod(view.pixels, view.width)
-        places = torch.from_numpy((row - rows.start) * width + column - columns.start).to(self.device)
+        places = torch.from_numpy((row - rows.start) * width + column - columns.start).to(self.device)  # in the window
         alpha = torch.zeros(height * width, device=self.device).index_fill(0, places, 1.0).view(1, height, width)
         small = self._padded(fitted(alpha, self.side))
         with torch.no_grad():

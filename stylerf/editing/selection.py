@@ -80,6 +80,7 @@ class SeenCells:
         mean = sums[:, :3].reshape(*shape, 3) / np.maximum(self.weight, 1e-12)[..., None]
         lab = np.full((*shape, 3), np.nan, np.float32)
         lab[seen] = halved_light(mean[seen])
+        # Cells behind the visible surface are solid but have no color of their own.
         away, nearest = distance_transform_edt(~seen, return_indices=True)
         near = (away > 0) & (away <= INHERIT)
         lab[near] = lab[tuple(axis[near] for axis in nearest)]
@@ -119,6 +120,7 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
     found: list[np.ndarray] = []
     left = lab[np.isfinite(lab).all(1)]
     while len(left) and len(found) < 64:
+        # The middle of the seeds' order: any would do, but the choice must be repeatable.
         found.append(left[len(left) // 2])
         left = left[np.linalg.norm(left - found[-1], axis=1) > apart]
     return np.array(found, np.float32).reshape(-1, 3)

@@ -77,7 +77,7 @@ def warp(
     camera = target.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
     opaque = (target.alpha > 0.5) & np.isfinite(target.z) & (target.z > 0)
-    depth = np.where(opaque, target.z, 1.0).reshape(-1).astype(np.float64)
+    depth = np.where(opaque, target.z, 1.0).reshape(-1).astype(np.float64)  # any finite depth, where it is ignored
     points = camera.unproject(np.stack([columns.reshape(-1), rows.reshape(-1)], axis=-1), depth)
     pixels, z_in_source = source.camera.project(points)
     corners, weights, inside = _bilinear(pixels, source.camera.width, source.camera.height)

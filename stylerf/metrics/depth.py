@@ -48,7 +48,7 @@ def depth_errors(z: np.ndarray, alpha: np.ndarray, truth: np.ndarray, far: float
     if not np.isfinite(ours).all():
         raise InvalidValue(f"{int((~np.isfinite(ours)).sum())} of {count} depths are not finite")
     difference = ours - true
-    ratio = np.maximum(ours, 1e-12) / true
+    ratio = np.maximum(ours, 1e-12) / true  # 1 / ratio must not be infinite
     return DepthErrors(
         abs_rel=float((np.abs(difference) / true).mean()),
         rmse=float(np.sqrt((difference**2).mean())),

@@ -33,6 +33,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
     known = np.isfinite(flow).all(axis=-1).reshape(-1)
     rows, columns = np.divmod(np.flatnonzero(known), width)
     move = flow.reshape(-1, 2)[known]
+    # Clipped to places that are outside with all four neighbors: larger floats may not fit int64.
     x, y = np.clip(columns + move[:, 0], -2, width + 1), np.clip(rows + move[:, 1], -2, height + 1)
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     colors = np.asarray(image, np.float64).reshape(-1, channels)[known]
@@ -50,6 +51,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
             total += np.bincount(place, part, height * width)
             for channel in range(channels):
                 found[:, channel] += np.bincount(place, part * colors[lands, channel], height * width)
+    # exp underflows to 0 where importance is far below the image's largest.
     landed &= total > 0
     warped = found / np.where(landed, total, 1)[:, None]
     return warped.reshape(height, width, channels), landed.reshape(height, width)

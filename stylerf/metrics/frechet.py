@@ -35,6 +35,7 @@ def frechet_squared(a: Moments, b: Moments) -> float:
     if a.mean.shape != b.mean.shape:
         raise InvalidValue(f"expected vectors of one length, got {a.mean.shape} and {b.mean.shape}")
     root = symmetric_root(a.covariance)
+    # The trace of the product's root needs eigenvalues only; rounding breaks its symmetry, and their sign.
     cross = np.linalg.eigvalsh(_symmetric(root @ b.covariance @ root))
     shift = a.mean - b.mean
     squared = shift @ shift + np.trace(a.covariance + b.covariance) - 2 * np.sqrt(np.clip(cross, 0, None)).sum()

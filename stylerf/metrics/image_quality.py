@@ -90,8 +90,9 @@ def explained_structure(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarra
     render, wanted = luminance(stylized), luminance(photo)
     mean_render, mean_wanted = around(render), around(wanted)
     covariance = around(render * wanted) - mean_render * mean_wanted
-    of_render = np.maximum(around(render**2) - mean_render**2, 0)
+    of_render = np.maximum(around(render**2) - mean_render**2, 0)  # E[x^2] - E[x]^2 can round below 0
     of_wanted = np.maximum(around(wanted**2) - mean_wanted**2, 0)
+    # c^2 <= v_r v_p (Cauchy-Schwarz) up to rounding; CODE_VALUE keeps a flat render from explaining by noise.
     explained = np.minimum(covariance**2 / (of_render + CODE_VALUE**2), of_wanted)
     return _masked_mean(explained, mask) / (_masked_mean(of_wanted, mask) + CODE_VALUE**2)
 
@@ -141,6 +142,7 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
     if energy <= 1e-9:
         return np.zeros(2), 0.0
     products = np.fft.irfft2(np.fft.rfft2(one, size).conj() * np.fft.rfft2(other, size), size)
+    # Shifts -most - 1 to most + 1 in order; the outer ones serve only as neighbors in the parabola.
     near = np.roll(products, (most + 1, most + 1), axis=(0, 1))[: 2 * most + 3, : 2 * most + 3]
     row, column = np.unravel_index(near[1:-1, 1:-1].argmax(), (2 * most + 1, 2 * most + 1))
     down = row - most + _vertex(near[row : row + 3, column + 1])

@@ -40,7 +40,7 @@ def split_view(inside: np.ndarray, margin: float, ring: float) -> EditMasks:
         raise InvalidValue(f"expected a bool mask [h, w], got {inside.dtype} {inside.shape}, margin {margin:g}")
     if not inside.any():  # the distance transform needs at least one pixel
         return EditMasks(inside, ~inside, np.zeros_like(inside))
-    distances = distance_transform_edt(~inside)
+    distances = distance_transform_edt(~inside)  # pixels, from each background pixel to the region
     return EditMasks(inside, distances > margin, (distances > margin) & (distances <= margin + ring))
 
 

@@ -21,6 +21,7 @@ def pareto_front(costs: Sequence[float], metrics: Sequence[float], higher: bool)
     order = sorted(range(len(costs)), key=lambda i: (costs[i], sign * metrics[i]))
     front: list[int] = []
     for i in order:
+        # By ascending cost, the last of the front has the best metric so far: whoever does not beat it is dominated.
         best = sign * metrics[front[-1]] if front else float("inf")
         same = bool(front) and (costs[i], metrics[i]) == (costs[front[-1]], metrics[front[-1]])
         if sign * metrics[i] < best or same:

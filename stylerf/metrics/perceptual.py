@@ -87,6 +87,7 @@ class SqueezeFeatures(_Network):
         hidden = F.relu(self.convolve(image * self.input_scale + self.input_shift, "conv1", stride=2))
         found = [hidden]
         for place, group in enumerate(self.GROUPS):
+            # ceil_mode as in torchvision's SqueezeNet: the trained heads expect it.
             if place < self.POOLED:
                 hidden = F.max_pool2d(hidden, 3, stride=2, ceil_mode=True)
             for fire in group:

@@ -23,6 +23,7 @@ def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Ten
     """Return weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colors [n, 3], in float64."""
     if colors.dim() != 2 or colors.shape[1] != 3 or colors.shape[0] == 0:
         raise InvalidValue(f"expected colors [n, 3] with n > 0, found {tuple(colors.shape)}")
+    # The inverse root of a covariance amplifies rounding along its weakest axis.
     colors = colors.double()
     weights = torch.ones_like(colors[:, 0]) if weights is None else weights.double()
     total = weights.sum()
@@ -51,6 +52,7 @@ def match_colors(
     """
     mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
     mean_s, covariance_s = color_statistics(style.cpu())
+    # A V_c A^T = V_s for A = V_s^(1/2) Q V_c^(-1/2) with any orthogonal Q; ARF takes the identity.
     matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5, NOISE)
     return ColorMap(matrix, mean_s - matrix @ mean_c)
 
@@ -72,7 +74,7 @@ def spread_at_least(style_image: Tensor, least: float) -> Tensor:
     step = missing**0.5
     signs = torch.ones(flat.shape[1], dtype=torch.float64)
     signs[1::2] = -1
-    inside = flat.clamp(step, 1 - step)
+    inside = flat.clamp(step, 1 - step)  # least <= 0.25, so step < 1 - step
     return (inside + step * signs).reshape(style_image.shape).to(style_image.dtype)
 
 
@@ -94,7 +96,7 @@ def spread_at_most(
     spread, axes = torch.linalg.eigh(color_statistics(content.cpu(), _on_cpu(content_weights))[1])
     mean, covariance = color_statistics(style_image.cpu().flatten(1).T)
     wanted = (axes.T @ covariance @ axes).diagonal().clamp_min(VARIANCE_FLOOR)
-    drawn = (most * (spread.clamp_min(VARIANCE_FLOOR) / wanted).sqrt()).clamp_max(1.0)
+    drawn = (most * (spread.clamp_min(VARIANCE_FLOOR) / wanted).sqrt()).clamp_max(1.0)  # [3]; decision 0036
     if bool((drawn == 1).all()):
         return style_image
     matrix = (axes * drawn) @ axes.T

@@ -121,6 +121,7 @@ class FeatureExtractor(nn.Module):
         hidden = hidden.contiguous(memory_format=torch.channels_last)
         found = []
         for layer in self.built:
+            # Pooling belongs to the next block: a layer's output is taken before it.
             if layer.endswith("_1") and layer != "conv1_1":
                 hidden = self._pool(hidden)
             hidden = self._convolve(hidden, layer)
@@ -134,6 +135,7 @@ class FeatureExtractor(nn.Module):
             hidden = F.conv2d(F.pad(hidden, (1, 1, 1, 1), mode="reflect"), weight, bias)
         else:
             hidden = F.conv2d(hidden, weight, bias, padding=1)
+        # In place, since autograd needs only the ReLU's result; the sum before it would double the memory.
         return F.relu(hidden, inplace=True)
 
     def _pool(self, hidden: Tensor) -> Tensor:

@@ -52,6 +52,7 @@ def nearest(
         part = slice(start, start + rows)
         for first in range(0, style.shape[0], block):
             value, place = (queries[part] @ style[first : first + block].T).max(dim=1)
+            # Strictly: ties go to the first row, whatever the block size.
             better = value > best[part]
             best[part] = torch.where(better, value, best[part])
             index[part] = torch.where(better, place + first, index[part])
@@ -86,6 +87,7 @@ class StyleRows:
         """
         if not 1 <= rank <= self.rows.shape[1]:
             raise InvalidValue(f"expected a rank from 1 to {self.rows.shape[1]}, found {rank}")
+        # Uncentered: inner products are to be kept, not variances.
         moment = self.rows.double().T @ self.rows.double()
         basis = torch.linalg.eigh(moment).eigenvectors[:, -rank:].flip(1).to(self.rows.dtype).contiguous()
         return replace(self, basis=basis, short=(self.rows @ basis).contiguous())

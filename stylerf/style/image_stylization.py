@@ -87,6 +87,7 @@ class ImageOptimization:
         total, parts = loss(self.seen(colors))
         (gradient,) = torch.autograd.grad(total, colors)
         self.steps += 1
+        # Adam by hand: its moments are part of a checkpoint, on either device.
         self.first.mul_(FIRST).add_(gradient, alpha=1 - FIRST)
         self.second.mul_(SECOND).addcmul_(gradient, gradient, value=1 - SECOND)
         size = (self.second / (1 - SECOND**self.steps)).sqrt_() + FLOOR

@@ -101,6 +101,8 @@ class ReferenceObjective(FeatureLoss):
         self.coarse, self.references, self.basis, self.seed = coarse, list(references), basis, seed
         with torch.no_grad():
             stylized = self._rows_of([reference.stylized for reference in self.references])
+            # keys and stylized are rows of the same positions: equal seeds and counts draw equal samples, so that an
+            # index into one is an index into the other.
             self.stylized = {block: StyleRows(unit_rows(rows)) for block, rows in stylized.items()}
             self.unit = {block: float(rows.square().mean().clamp_min(1e-12)) for block, rows in stylized.items()}
             self.keys = self.keys_of([reference.photo for reference in self.references])
@@ -188,6 +190,7 @@ class ReferenceObjective(FeatureLoss):
         rows, columns = wanted.trusted.shape
         cells = F.adaptive_avg_pool2d(picture[:, *window], (rows, columns))
         apart = (cells - wanted.colors).square().mean(0)
+        # Over all covered cells, trusted or not: few matches pull little.
         color = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
         parts = {"style": style, "content": content, "variation": self.variation(picture), "color": color}
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}

@@ -53,7 +53,7 @@ def nearest_neighbor_distance(
     if weights is not None:
         flat = weights.flatten()
         inside = flat > 0
-        rows, flat = rows[inside], flat[inside]
+        rows, flat = rows[inside], flat[inside]  # [positions, c] -> [p, c]
     if matches is None:
         matches = style.match(rows.detach(), memory_mb, half)
     distances = 1 - (unit_rows(rows) * style.rows[matches]).sum(dim=1)
@@ -203,6 +203,7 @@ class StyleObjective(FeatureLoss):
         with torch.no_grad():
             found = by_block(extractor.layers, features(extractor, picture[None], self.half))
         self.style: dict[str, StyleRows] = {}
+        # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
         self._keep(found, most_rows, basis, seed)
 
@@ -249,6 +250,7 @@ class StyleObjective(FeatureLoss):
         if content is not None and self.weights.color > 0:
             apart = (cell_colors(picture) - content.colors).square().mean(0)
             weights = torch.ones_like(apart) if alpha is None else cell_colors(alpha[None])[0]
+            # Empty views have no weight: 0 instead of 0/0.
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
@@ -297,6 +299,7 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
             return EVERYTHING
         wide = max(margin, -(-(least - (seen[-1] + 1 - seen[0])) // 2))
         first, last = max(0, seen[0] - wide) // 8 * 8, min(length, -(-(seen[-1] + 1 + wide) // 8) * 8)
+        # A window at the border grows inwards.
         first = max(0, min(first, last - least))
         last = min(length, max(last, first + least))
         sides.append(slice(int(first), int(last)))
@@ -306,5 +309,6 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
 def cell_colors(picture: Tensor) -> Tensor:
     """Return the mean colors of an image [c, h, w] in CELLS square cells along its longer side."""
     height, width = picture.shape[1:]
+    # Images below CELLS pixels keep one cell per pixel.
     share = min(1.0, CELLS / max(height, width))
     return F.adaptive_avg_pool2d(picture, (max(1, round(height * share)), max(1, round(width * share))))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from stylerf.kernels.cpu.adam import adam
 
+# As instant-ngp: means over thousands of rays leave a table row with tiny gradients, which a larger epsilon would damp.
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
 NORM_STEPS = 10  # steps after which the running norm of the gradients is known well enough to clip at it
 SMOOTH_EVERY = 8  # steps between total variation gradients: they cost a third of a step, and act over hundreds of steps
@@ -37,6 +38,7 @@ class Adam:
         self.steps += 1
         arrays = self.values, self.gradients, self.first, self.second
         betas = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON)
+        # Counted per optimizer, not per row: the kernel skips runs without a gradient, whose moments then do not decay.
         corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
         for begin, end, factor in self.groups:
             adam(*arrays, np.float32(rate * factor), *betas, *corrections, begin, end, self.threads)
@@ -98,12 +100,14 @@ def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, st
     if not np.isfinite(norm):
         gradients[:] = 0
         return running_norm
+    # Nothing to compare with: the first norm above 0 becomes the running norm.
     if norm == 0 or running_norm == 0:
         return running_norm or norm
     if steps < NORM_STEPS:
         return running_norm + (norm - running_norm) / (steps + 1)
     if norm > gradient_clip * running_norm:
         gradients *= np.float32(gradient_clip * running_norm / norm)
+        # The mean follows the clipped norm, or one spike would raise the bound for the steps after it.
         norm = gradient_clip * running_norm
     return 0.9 * running_norm + 0.1 * norm
 

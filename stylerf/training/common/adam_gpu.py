@@ -52,11 +52,13 @@ class GpuAdam:
 
 def clipped(gradients: Tensor, gradient_clip: float, running_norm: Tensor, steps: int) -> Tensor:
     """adam.py's clipped, of gradients [n], without waiting for the device."""
+    # No branches on device values, which would wait for the device: every case is a torch.where.
     norm = torch.linalg.vector_norm(gradients, dtype=torch.float64)
     counts, known = torch.isfinite(norm) & (norm > 0), running_norm > 0
     clipped_norm = torch.minimum(norm, gradient_clip * running_norm) if steps >= NORM_STEPS else norm
     clipped_norm = torch.where(known, clipped_norm, norm)
     factor = torch.where(torch.isfinite(norm), torch.where(norm > 0, clipped_norm / norm, 1.0), 0.0)
+    # A norm that is not finite has factor 0, but 0 * inf and 0 * nan are NaN.
     gradients.mul_(factor.to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
     newest = 0.1 if steps >= NORM_STEPS else 1 / (steps + 1)
     mean = torch.where(known, running_norm + newest * (clipped_norm - running_norm), clipped_norm)

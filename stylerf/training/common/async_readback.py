@@ -51,11 +51,13 @@ class AsyncReadback(Generic[Note, Result]):
     def send(self, note: Note) -> Result:
         """Start reading the step's sums back; returns the newest result."""
         place = self._sent % BEHIND
+        # The slot is overwritten BEHIND steps later, when begin() has read it.
         self._here[place].copy_(self._there[place], non_blocking=True)
         self._notes.append(note)
         if self._done is not None:
             self._done[place].record()
         self._sent += 1
+        # Which step has arrived depends on timing, so processes in step may only take results that begin() waited for.
         while not self._in_step and self._read < self._sent and self._take(wait=False):
             pass
         return self._newest

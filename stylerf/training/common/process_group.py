@@ -136,6 +136,7 @@ class DistributedProcesses(ProcessGroup):
         return slice(self.place * count // self.count, (self.place + 1) * count // self.count)
 
     def add(self, values: "np.ndarray | Tensor") -> None:
+        # as_tensor shares an array's memory, so the sum arrives in place.
         self._try(self._distributed.all_reduce, self._torch.as_tensor(values))
 
     def add_gradients(self, buffers: np.ndarray) -> None:
@@ -158,6 +159,7 @@ class DistributedProcesses(ProcessGroup):
         data, listing = json.loads(self.tell(json.dumps([data, listing])))
         if not self.first:
             arrays = {name: np.empty(shape, dtype) for name, dtype, shape in listing}
+        # In the leader's order, which the listing fixed: broadcasts match by order, not by name.
         for name, array in arrays.items():
             arrays[name] = np.ascontiguousarray(array)
             self.take_first(arrays[name].reshape(-1).view(np.uint8))

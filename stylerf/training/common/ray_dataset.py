@@ -17,7 +17,7 @@ STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux 
 
 def psnr_from_mse(mse: float) -> float:
     """-10 log10(mse), dB, for values in 0..1."""
-    return -10.0 * math.log10(max(mse, 1e-12))
+    return -10.0 * math.log10(max(mse, 1e-12))  # at most 120 dB, so that an exact fit stays finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,7 @@ class LitPixels:
         """alphas: [h, w] of every view in turn."""
         begins, lengths, before = [], [], 0
         for alpha in alphas:
+            # int8: bools have no sign. Padded in each view, so that no run crosses into the next one (see below()).
             edges = np.diff(near_opaque(alpha).ravel().astype(np.int8), prepend=0, append=0)
             rising = np.flatnonzero(edges == 1)
             begins.append(before + rising)
@@ -139,7 +140,7 @@ class RayDataset:
         self.starts = (self._ends - self.sizes) * self.channels
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
-        self.codes = codes_at(np.zeros(len(cameras)))
+        self.codes = codes_at(np.zeros(len(cameras)))  # [views, 256]: the color that each byte stands for
         # Fully transparent pixels far from any object teach little: they are drawn less often.
         self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
 
@@ -183,6 +184,7 @@ class RayDataset:
     ) -> tuple[np.ndarray, np.ndarray]:
         """(views, row-major pixels) [n] of the rays of draw()."""
         total = len(self) if among is None else int(self._ends[among - 1])
+        # Drawn whole and cut to `part` last: every process consumes the same random stream.
         index = generator.integers(0, total, count)
         if self.lit is not None and lit_share > 0:
             most = self.lit.below(total)

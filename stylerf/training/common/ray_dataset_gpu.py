@@ -35,6 +35,7 @@ class GpuRayDataset:
     """dataset: photos and cameras, copied to the device once, a byte a channel."""
 
     def __init__(self, dataset: RayDataset, device: torch.device) -> None:
+        # Lit pixels are listed as int32, half the memory.
         if len(dataset) >= 2**31:
             raise InvalidValue(f"{len(dataset)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
         self.device, self.channels, self.views = device, dataset.channels, len(dataset.cameras)
@@ -53,6 +54,7 @@ class GpuRayDataset:
         """Copy the bytes in parts: those mapped from a file are never all in memory."""
         there = torch.empty(len(dataset.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
+            # A copy, so that read() may release the mapped pages before the device has them.
             part = dataset.bytes[at : at + AT_ONCE].copy()
             dataset.read(math.ceil(len(part) / STRETCH))
             there[at : at + len(part)] = torch.from_numpy(part)

@@ -70,6 +70,7 @@ class GridDeformer(ABC, Generic[Buffer]):
         self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32))).to(self.device)
         self._nearest = torch.from_numpy(nearest_of(active, vertices)).to(self.device)
         self._pairs = [pairs.to(self.device) for pairs in _pairs(active, vertices)]
+        # One array: the field's kernels read what bake() (on a GPU, collect()) writes.
         self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
         self._prepare(threads)
         self.bake()
@@ -115,9 +116,12 @@ class GridDeformer(ABC, Generic[Buffer]):
         |D|: root mean square displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
+        # Copies move as their evaluated vertex does: gradients [vertices^3, 3] add up to [evaluated, 3].
         gradient = torch.zeros_like(self._moved).index_add_(0, self._nearest, self._gathered())
         self.gradients[:] = 0
+        # Twice: the cube is two units wide. Without 1e-12 the root's gradient at rest, where training begins, is 0/0.
         size = (2 * self._moved).square().sum(1).mean().add(1e-12).sqrt()
+        # <D, dL/dD> with dL/dD constant: by the network's weights, its gradient is J^T dL/dD.
         loss = (self._moved * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
@@ -132,6 +136,7 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     def _variation(self) -> Tensor:
         m, moved = self.vertices, 2 * self._moved
+        # The backward of this indexing adds in no fixed order, but copies are masked out below and add exact zeros.
         grid, total = moved[self._nearest].view(m, m, m, 3), moved.new_zeros(())
         for axis, both in enumerate(self._pairs):
             total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
@@ -205,6 +210,7 @@ def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
 
 def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:
     """About `count` rays through random pixels, equally many per camera."""
+    # Not in proportion to pixels: a single view of a hidden side must find its vertices, too.
     origins, directions = [], []
     for camera in cameras:
         pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))
@@ -247,6 +253,7 @@ class PhotoError:
         rendered, difference = self._rendered(origins, directions, colors, jitter)
         gradients = np.zeros_like(rendered.out)
         gradients[:, :3] = difference * np.float32(2 / difference.size)
+        # C = rgb + (1 - alpha) background, the same gray in every channel.
         gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
         backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
         return float(np.square(difference).mean())

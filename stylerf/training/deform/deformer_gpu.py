@@ -72,6 +72,7 @@ class GpuDeformer(GridDeformer[Tensor]):
     def look(self) -> None:
         cells, field = self.rest.cells, self.device_field
         reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
+        # A cell of the deformed field is occupied if its points come from near an occupied one at rest.
         occupied = displaced_cells(self._at_rest, cells, reach, self._grid.view(-1), field.vertices)
         field.distances = distances_to(occupied).flatten()
 
@@ -89,7 +90,7 @@ class GpuDeformer(GridDeformer[Tensor]):
         self.grid.reshape(-1, 3)[:] = self._grid.cpu().numpy()
         if self._brought is not self.device_field.distances:  # the distances of a fine grid take a while
             self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
-            self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)
+            self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)  # distance 0: occupied
             self._brought = self.device_field.distances
 
 

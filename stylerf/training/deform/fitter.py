@@ -115,6 +115,7 @@ class DeformationFitter:
         generator = np.random.default_rng([self.seed, 6, state.step])
         drawn = self.dataset.draw(settings.rays, generator, self.among)[:3]
         error = self._error.learn(*drawn, generator.random(settings.rays, dtype=np.float32))
+        # By steps, not by time: a resumed or slower run follows the same schedule.
         rate = settings.rate * 0.1 ** (state.step / max(1, settings.steps))
         size = self.deformer.step(rate, 0.0, settings.smoothness)
         state.step += 1
@@ -133,6 +134,7 @@ class DeformationFitter:
             state.seconds += time.perf_counter() - begun
             self.between_steps = True
             on_step(self)
+        # The last step need not be the best; photos may gain nothing from any deformation.
         self.deformer.take(self._rest if self.dropped else self._best)
 
     def _look(self, size: float) -> None:

@@ -54,6 +54,7 @@ class CpuEditEngine:
 
     def step(self, gradient: Tensor, rate: float, table_rate: float) -> None:
         """Step both optimizers, with the gradient of the leaf and that of the table."""
+        # The table's own gradient is already in place: the backward of pixels() added it.
         self.networks.gradients[0] += gradient.numpy()
         self.networks.step(rate)
         self.table.step(table_rate)

@@ -197,10 +197,12 @@ class EditTrainer:
     def step(self) -> dict[str, float]:
         """Take one step on one view; the parts of the loss."""
         number = list(self._steps()).index(self.state.phase)
+        # Seeded by phase and step: a resumed run draws what an uninterrupted one would.
         generator = np.random.default_rng([self.seed, 3, number, self.state.step])
         at = self._view_of_step(number)
         view, style = self.views[at], None if self.state.phase == "palette" else self.style
         rows = np.arange(len(view))
+        # Image losses need every pixel of the view; losses of pixels do with a sample.
         if style is None and len(view) > self.settings.pixels:
             rows = generator.integers(0, len(view), self.settings.pixels)
         # LAENeRF's jitter: the ray ends anywhere within what it sees.
@@ -215,6 +217,7 @@ class EditTrainer:
         weights = {name: getattr(self.settings.weights, name) for name in parts}
         parts = {name: part for name, part in parts.items() if weights[name]}
         sum(weights[name] * part for name, part in parts.items()).backward()
+        # One decay over all phases, so that the rate does not jump back when a phase begins.
         decay = self.settings.final_rate**self.whole_progress
         assert values.grad is not None
         self.engine.step(values.grad, self.settings.rate * decay, self.settings.table_rate * decay)
@@ -274,6 +277,7 @@ class EditTrainer:
                     state.curve.append({"phase": state.phase, "step": state.step, "seconds": seconds, **rounded})
                 self.between_steps = True
                 on_step(self)
+            # A GPU reports some steps late: the phase's last ones are checked here.
             self._refuse_nan(self.engine.settle())
             self._next_phase()
 

@@ -105,16 +105,19 @@ class CpuFineTuneEngine:
             colors = unhidden(colors, found)
         difference = found - target(colors, level)
         gradients = np.zeros_like(out)
+        # C = rgb + (1 - alpha) level, so dL/d(alpha) = -level sum(dL/dC). s.rays: of all processes together.
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)
         if field.color_map is not None:
             # The map comes after compositing: rgb' = A rgb + alpha b.
             matrix, offset = field.color_map.matrix.numpy(), field.color_map.offset.numpy()
+            # Hence dL/d(alpha) += dL/drgb' . b and dL/drgb = A^T dL/drgb'; alpha first, before rgb is overwritten.
             gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
             gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
         depth_error = 0.0
         if edited and moving and s.depth_weight > 0:
             known = np.maximum(batch.depth, np.float32(1e-6))
+            # d/dz of weight mean((z / z0 - 1)^2) = 2 weight (z / z0 - 1) / (z0 n); relative errors need no unit.
             off = out[:edited, 4] / known - 1
             gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
             depth_error = float(np.square(off).sum())
@@ -123,6 +126,7 @@ class CpuFineTuneEngine:
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
         for part, adam, factor in self._trained():
+            # A function of the values, not of rays: added by one process only.
             if batch.smoothness > 0 and self.group.first:
                 part.smooth(batch.smoothness, adam.gradients[0])
             self.group.add_gradients(adam.gradients)

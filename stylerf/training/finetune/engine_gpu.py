@@ -44,6 +44,7 @@ class GpuFineTuneEngine:
         if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
         nothing: dict[str, float] = {}
+        # In step: a process that saw a NaN earlier would leave, and the others would wait for its gradients.
         self._reports = AsyncReadback(self.device, 5, self._errors, nothing, in_step=group.count > 1)
         self._take_up()
 
@@ -83,6 +84,7 @@ class GpuFineTuneEngine:
         if field.color_map is not None:
             # The map comes after compositing: rgb' = A rgb + alpha b.
             matrix, offset = field.color_map
+            # As in engine.py: alpha first, before rgb is overwritten.
             gradients[:, 3] += gradients[:, :3] @ offset
             gradients[:, :3] = gradients[:, :3] @ matrix
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients

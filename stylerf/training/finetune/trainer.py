@@ -94,6 +94,8 @@ class FineTuner:
 
         Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
         """
+        # Seeded by the step, for resumes. Every process draws all numbers and keeps its part: together they take the
+        # rays that one process would.
         s, generator = self.settings, np.random.default_rng([self.seed, 9, self.state.step])
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)

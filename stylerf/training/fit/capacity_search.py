@@ -133,6 +133,7 @@ class CapacitySearch:
         return (self.settings.held_out_until / max(progress, 1e-9) - 1) * self.state.step
 
     def _trial_steps(self, progress: float) -> int:
+        # Extrapolated, since with a budget of seconds the number of steps is not known.
         total = self.state.step / max(progress, 1e-9)
         return round(min(max(TRIAL_SHARE * total, TRIAL_STEPS[0]), TRIAL_STEPS[1]))
 
@@ -173,6 +174,7 @@ class CapacitySearch:
         if trial.grows and self.settings.force_growth:
             return True  # there is nothing to decide: a later fall must lead back to this level, not the one before
         due = trial.grows and self._past_minimum(progress) and self._used_up(progress)
+        # Nothing can be judged once the held-out views are trained on.
         return (due and progress >= trial.extended_until) or progress >= self.settings.held_out_until
 
     def extended(self, quality: float, parameters: int, progress: float) -> bool:
@@ -191,6 +193,7 @@ class CapacitySearch:
     def _gained(self, quality: float, parameters: int) -> bool:
         """Whether the level on trial has gained enough; one that is no larger need gain nothing."""
         trial, settings = self.trial, self.settings
+        # A lean last level can be smaller than the one before (decision 0040).
         required = settings.min_gain if parameters > trial.parameters else 0.0
         return quality - trial.before >= required or settings.force_growth
 

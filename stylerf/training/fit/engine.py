@@ -116,6 +116,8 @@ class CpuEngine:
 
     def learn(self, batch: Batch) -> StepResult:
         """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
+        # Seeded by the step: a resumed run draws what an uninterrupted one would. Every process draws the whole batch
+        # and then takes its own rays, so the drawing order must not depend on `own` (decision 0020).
         generator = np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
         origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
@@ -126,6 +128,7 @@ class CpuEngine:
             rays = Rays.of(origins[some], directions[some], near, jitter[some])
             totals += self._learn_part(batch, rays, colors[some], background[some])
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
+        # A function of the values, not of rays: if every process added it, the sum would count it several times.
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients[0])
@@ -147,6 +150,8 @@ class CpuEngine:
             colors = unhidden(colors, found)
         difference = found - target(colors, back)
         gradients = np.zeros_like(out)
+        # C = rgb + (1 - alpha) back, so dL/d(alpha) = -dL/dC . back. `count` is the whole batch's number of rays, so
+        # parts and processes add up to its mean.
         gradients[:, :3] = difference * np.float32(2 / (3 * count))
         gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
         if batch.opacity > 0:
@@ -165,6 +170,7 @@ class CpuEngine:
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
+        # Processes render every count-th chunk; the rest stays zero, so that their sum is the whole.
         found = np.zeros((len(origins), 5), np.float32)
         for begin in range(4096 * self.group.place, len(origins), 4096 * self.group.count):
             part = slice(begin, begin + 4096)

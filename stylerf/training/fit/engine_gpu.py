@@ -141,6 +141,7 @@ class GpuEngine:
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
         """Add the gradients of this process's rays and of the smoothness; errors and counts go to sums [3]."""
         field = self.device_field
+        # The kernel's generator is counter-based: a ray's draw depends on seed and ray, not on parts or processes.
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         own = self.group.own(batch.rays)
@@ -199,6 +200,7 @@ class GpuEngine:
     def warm_up(
         self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
     ) -> None:
+        # Kernels differ by random and fixed background (None, 1.0) and by the parts' kinds; the data do not matter.
         sums = torch.zeros(3, device=self.device)
         for host in scratch:
             field = GpuField(host, self.device)

@@ -44,6 +44,7 @@ class Exposures:
         points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(light))
         found, light_there, distance = self._surfaces(rendered, others, pixels)
+        # A point is seen again if the other photo's own ray ends at the same place, not at an occluder in front of it.
         apart = np.linalg.norm(found - points[at], axis=1)
         same = np.isfinite(light_there) & (apart < APART * distance)
         beyond = np.log2(light[at[same]] / light_there[same])
@@ -66,12 +67,14 @@ class Exposures:
     def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
         pixels = np.full(self.others.shape, -1)
+        # Sorted by view, so that each camera projects its points in one call.
         by_view = np.argsort(self.others, axis=None, kind="stable")
         edges = np.searchsorted(self.others.reshape(-1)[by_view], np.arange(len(self.dataset.cameras) + 1))
         for camera, first, end in zip(self.dataset.cameras, edges[:-1], edges[1:], strict=True):
             at, place = np.divmod(by_view[first:end], TRIED)
             at, place = at[known[at]], place[known[at]]
             position, depth = camera.project(points[at])
+            # Points behind a camera project anywhere, even to infinity, which has no int64.
             column, row = np.floor(np.clip(position, -1, 1e6)).astype(np.int64).T
             inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
             pixels[at[inside], place[inside]] = (row * camera.width + column)[inside]
@@ -87,6 +90,8 @@ def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarr
     """
     change: np.ndarray = np.zeros(count)
     for _ in range(ROUNDS):
+        # Weights 1/|residual| turn least squares into least absolute deviations; the floor (stops) bounds them at a
+        # residual of 0. A common offset is free and a photo may have no data: the ridge keeps the system regular.
         weight = 1 / np.maximum(np.abs(change[first] - change[second] - beyond), 0.02)
         matrix, sums = 1e-3 * np.eye(count), np.zeros(count)
         np.add.at(matrix, (first, first), weight)

@@ -132,6 +132,7 @@ class Fitter:
         return capacity_at(level, finest, levels, self.space, occupancy, settings.degree)
 
     def _resize(self, level: CapacityLevel) -> None:
+        # Seeded by the level, not by what was drawn before: a resumed run repeats a trial from the same values.
         generator = np.random.default_rng([self.seed, 2, level.resolution])
         old = self.field
         capacity = self._capacity(level, old.occupancy)
@@ -150,6 +151,7 @@ class Fitter:
         generator = np.random.default_rng([self.seed, 3])
         first = len(self.dataset.cameras) - self.held_out if self.held_out else 0
         chosen = self.dataset.of_views(first, 16384, generator)
+        # Only a box may be transparent; elsewhere alpha 0 is a mask and has no color to compare with (decision 0004).
         return chosen if self.space.kind == "box" else shown_rays(*chosen)
 
     @property
@@ -172,6 +174,7 @@ class Fitter:
         background = background_of(kind, len(origins), np.random.default_rng([self.seed, 4]))
         out = self.engine.rendered(origins, directions)
         error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colors, background), -1, 1)
+        # Processes may differ in rounding, which could tip a decision: all take the first one's number.
         return psnr_from_mse(self.group.of_first(float(np.square(error).mean(dtype=np.float64))))
 
     def _balance(self, exposures: Exposures, quality: float) -> float:
@@ -221,10 +224,12 @@ class Fitter:
         # Once per step, even if running out of memory restarts it: processes must not differ in this.
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
             self._refreshed_at = state.step
+            # All cells at first, later every fourth from a random start: densities have settled, and cells are many.
             self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4)
         among = len(self.dataset.cameras)
         if self._judging:
             among -= self.held_out
+        # Every SMOOTH_EVERY-th step with that many times the weight: the same pull on average (decision 0011).
         smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
         learned = self.engine.learn(
             Batch(
@@ -234,6 +239,7 @@ class Fitter:
                 among=among,
                 lit_share=settings.lit_share,
                 background=settings.background,
+                # Exponential decay over the budget, halved by each rollback, ramped up after a pruning.
                 rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.search.rate,
                 smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
                 near_scaling_distance=settings.near_scaling_distance,
@@ -253,6 +259,7 @@ class Fitter:
 
         check_every: fraction of the budget between evaluations on the held-out views.
         """
+        # Compiling takes longer than many steps; it must not count as training time.
         self.warm_up()
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
@@ -263,6 +270,7 @@ class Fitter:
             except MemoryError:
                 self._halve_parts()
                 continue
+            # One clock for all processes: each decides by `progress`, and must decide alike.
             state.seconds += self.group.of_first(time.perf_counter() - begun)
             if not math.isfinite(error):
                 self._roll_back("the loss is not finite")
@@ -286,6 +294,7 @@ class Fitter:
         if kinds <= self._warm:
             return
         for density_rank, color_rank, degree in kinds - self._warm:
+            # Ranks are compile-time constants (decision 0001), the resolution is not: 8^3 will do.
             capacity = self._capacity(CapacityLevel(8, density_rank, color_rank, 8, 8, degree))
             parts = first_parts(settings.kinds, capacity, generator)
             scratch.append(RadianceField(self.space, *parts, OccupancyGrid(8), 1 / 8))
@@ -302,6 +311,7 @@ class Fitter:
     def _check(self) -> None:
         state, search = self.state, self.search
         begun = time.perf_counter()
+        # On a GPU, steps still in flight belong to the training before this evaluation, so their time is counted here.
         self.engine.settle()
         state.seconds += self.group.of_first(time.perf_counter() - begun)
         self.engine.agree()
@@ -343,6 +353,7 @@ class Fitter:
                 self._warm_up([search.level])
                 if not search.enough(reduced):
                     break  # some training decides
+            # Kept without a step, or hopeless: judge it now, and try the next pruning on what remains.
             quality = self._judge(reduced)
         state.decided |= search.settled
 
@@ -435,8 +446,10 @@ class Fitter:
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """Restore a checkpoint()."""
         self.state = FitState.from_json(data["state"])
+        # The search holds a reference to the state, which has just been replaced.
         self.search.state = self.state
         if self.state.stops:
+            # Photos are not in a checkpoint: correct them again, or the held-out PSNR would jump.
             self._expose(self.state.stops)
         self._restore(Snapshot.of(data["field"], arrays, "now."))
         if "anchor" in data:
@@ -445,9 +458,11 @@ class Fitter:
 
 def _rays_for(samples: int, samples_per_ray: float, before: int, most: int) -> int:
     """Rays of the next step, for about `samples` samples in all; changes slowly, between 256 and `most`."""
+    # The count per ray falls as empty space is found; smoothed, so that one odd batch does not swing the next.
     wanted = samples / max(samples_per_ray, 1.0)
     return int(np.clip(0.8 * before + 0.2 * wanted, 256, most))
 
 
 def _refresh_every(step: int) -> int:
+    # Often while the density changes fast and each refresh makes steps cheaper, seldom once it is stable.
     return 8 if step < 64 else 16 if step < 300 else 64

@@ -21,9 +21,11 @@ def clear_cells(
     """
     corners = space.unwarp(np.array([[0.0, 0, 0], [1, 1, 1]]))
     low, width = corners[0].astype(np.float32), ((corners[1] - corners[0]) / cells).astype(np.float32)
+    # The cell's bounding ball: its projection is easy to bound, and a larger ball only clears fewer cells.
     radius = np.float32(np.linalg.norm(width) / 2)
     seen, clear = np.zeros(cells**3, np.int32), np.zeros(cells**3, np.int32)
     for camera, alpha in zip(cameras, alphas):
+        # Summed-area table: counting the opaque pixels of any rectangle takes four reads.
         sums = np.zeros((camera.height + 1, camera.width + 1), np.int32)
         np.cumsum(np.cumsum(alpha > EMPTY, 0, dtype=np.int32), 1, out=sums[1:, 1:])
         pose = np.ascontiguousarray(camera.world_from_camera[:3], np.float32)

@@ -43,6 +43,7 @@ class ViewLoss:
         self.scene, self.extractor, self.around = scene, extractor, around
         self.device = extractor.input_scale.device
         s = scene.settings
+        # Two feature positions at least, also at half size: networks refuse smaller images.
         smallest = math.ceil(2 * (stride or extractor.stride) / s.feature_scale * (2 if s.coarse > 0 else 1))
         self.windows = [
             EVERYTHING if scene.fills_views else window_of(scene.coverage(view), smallest)
@@ -121,11 +122,14 @@ class ViewStep:
         camera = scene.cameras[view]
         pixels = selected_pixels(settings.strategy, camera.height, camera.width, settings.dilation, generator)
         image, record = self.image(view, pixels)
+        # Deferred back-propagation (ARF): render without a graph, differentiate the loss by pixels, render chunks again
+        # and push their gradients through. Exact, and the graphs of features and field are never in memory together.
         gradient, parts = self.gradient(view, image)
         chosen = selected_gradient(gradient, pixels, settings.blur)
         if record is not None:
             scene.geometry.learn(record, chosen, scene.adam.gradients)
             return parts
+        # No jitter in stylization: the second render has the samples of the first, as the cached gradient requires.
         for at in range(0, len(pixels), PIXELS_AT_ONCE):
             part = slice(at, at + PIXELS_AT_ONCE)
             _, record = scene.geometry.paint(view, pixels[part])
@@ -154,6 +158,7 @@ class ViewStep:
         rendered, record = scene.geometry.paint(view, pixels)
         image = self.last_renders[view]
         if settings.strategy == "dilated":
+            # Others move by the interpolated change of the selected (decision 0014), which are then set exactly.
             changes = rendered - image[pixels]
             image += spread_over_picture(changes, pixels, camera.height, camera.width, settings.dilation)
         image[pixels] = rendered
@@ -190,6 +195,7 @@ class Arf(StyleMethod[ArfSettings]):
     def step(self) -> dict[str, float]:
         scene, settings, step = self.scene, self.scene.settings, self.scene.state.step
         parts = self.view_step.learn(np.random.default_rng([scene.problem.seed, 4, step]))
+        # Both rates decay together; the deformation's also rises at first (decision 0041).
         decay = settings.final_rate**scene.budget.progress
         scene.adam.step(settings.rate * decay)
         if scene.deformer is not None and isinstance(settings, DesrfSettings):

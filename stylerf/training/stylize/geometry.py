@@ -98,6 +98,7 @@ class FixedGeometry:
     def learn(self, record: tuple[ShadingPoints, np.ndarray], gradients: np.ndarray, color_to: np.ndarray) -> None:
         points, colors = record
         color_gradients = np.empty_like(points.x)
+        # Weights are fixed, so alpha has no gradient: a sample's color gets its weight times its ray's gradient.
         shade_backward(points, gradients, color_gradients)
         self.field.color.backward(points, None, colors, color_gradients, color_to)
 
@@ -141,6 +142,7 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
             chosen = pixels[part]
             out, rendered = self._rendered(camera, chosen)
             rgb[part] = out[:, :3]
+            # In place, a view into self.alphas: unselected pixels keep the alpha of their last render.
             alphas[chosen] = np.clip(out[:, 3], 0, 1)
             record.append((part, rendered))
         return rgb, record
@@ -151,6 +153,7 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
             to = np.zeros((len(gradients[part]), 5), np.float32)
             to[:, :3] = gradients[part]
             if not self.field.opaque_background:
+                # The image is rgb + (1 - alpha) background: a moving silhouette learns by what it uncovers.
                 to[:, 3] = -self.background * gradients[part].sum(1)
             self._backward(rendered, to, color_to)
 

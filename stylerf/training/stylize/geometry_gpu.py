@@ -83,7 +83,7 @@ class GpuFixedGeometry:
             s = self._marched.march(rays, 512, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
             shown = (s.weights > 0) & (s.weights >= self.weight_threshold * s.largest[ray])
-            sums = torch.zeros((2, n), device=self.device)
+            sums = torch.zeros((2, n), device=self.device)  # weights of all samples, and of those kept
             sums[0].index_add_(0, ray, s.weights)
             sums[1].index_add_(0, ray[shown], s.weights[shown])
             scale = torch.where(sums[1] > 0, sums[0] / sums[1].clamp(min=1e-30), 0.0)
@@ -103,6 +103,7 @@ class GpuFixedGeometry:
     def alpha(self, view: int) -> np.ndarray:
         if view not in self._alphas:
             camera, (offsets, _, weights) = self.cameras[view], self._samples(view)
+            # A ray's sum is a difference of two sums over the view so far, which cancels too many digits of float32.
             sums = torch.zeros(len(weights) + 1, dtype=torch.float64, device=self.device)
             torch.cumsum(weights.double(), 0, out=sums[1:])
             alpha = (sums[offsets[1:]] - sums[offsets[:-1]]).clamp(0, 1).float()
@@ -116,7 +117,9 @@ class GpuFixedGeometry:
         ends = torch.cumsum(counts, 0)
         starts, n = ends - counts, int(ends[-1]) if len(pixels) else 0
         ray = torch.repeat_interleave(counts, output_size=n)
+        # Gathers the chosen rays' runs of samples: n is their total, starts are their places in the new order.
         place = torch.arange(n, device=self.device) + (offsets[chosen] - starts)[ray]
+        # Stands for all fields that compositing does not read, such as distances: nothing may write to it.
         zero = torch.zeros(max(n, len(pixels)), device=self.device)
         own = weights[place].contiguous()
         samples = GpuSamples(

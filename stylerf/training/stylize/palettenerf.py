@@ -155,6 +155,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         }
 
     def _image_losses(self, seen: "_Seen", photo: np.ndarray, with_palette: bool) -> dict[str, Tensor]:
+        # The background moves to the photo's side, since what is composited is premultiplied.
         target = torch.from_numpy(photo) - (1 - seen.alpha) * float(self.scene.background)
         parts = seen.parts
         direct = seen.composited(parts.diffuse + parts.specular) - target
@@ -163,6 +164,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
             "view": seen.composited(parts.specular.square().sum(1, keepdim=True)).mean(),
         }
         if with_palette:
+            # Detached: the specular part is learned by the direct image, or it would explain what the palette cannot.
             mixed = seen.composited(parts.mixed(seen.palette) + parts.specular.detach()) - target
             images = seen.composited(parts.weights)
             guide = torch.from_numpy(self.extracted.weights_of(photo))
@@ -189,10 +191,12 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         for x, phi in seen.encoded:
             if phi.grad is not None:
                 gradients = phi.grad.contiguous().numpy()
+                # Twice if smoothness is on: for the samples and for the points beside them.
                 color.features.backward(color.table, x, np.arange(len(x)), gradients, to)
         assert seen.rest.grad is not None
         own = seen.rest.grad.numpy()
         if self.scene.budget.progress < RELEASE or self.scene.state.phase == "refit":
+            # The palette stays as extracted until the mixing weights fit it (PaletteNeRF).
             own[: 3 * color.bases] = 0
         to[0, color.features.length :] += own
 
@@ -275,6 +279,7 @@ class _Seen:
 
 def roughness(parts: Parts, beside: Parts, away: Tensor) -> Tensor:
     """sum_i (w_i - w'_i)^2 exp(-|dx|^2 / 0.005 bound^2 - |d diffuse|^2 / 0.2), [n]; away [n] is |dx|^2 in the cube."""
+    # Detached: the diffuse color must not grow unlike its neighbor to escape the smoothness.
     unlike = (parts.diffuse - beside.diffuse).detach().square().sum(1)
     near = torch.exp(-SMOOTH_NEAR * away - SMOOTH_LIKE * unlike)
     return (parts.weights - beside.weights).square().sum(1) * near

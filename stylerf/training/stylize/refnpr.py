@@ -149,6 +149,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         if self._optimized is None:
             self._optimized = self._new_image(view)
         parts = self._optimized.step(self.making_loss(view), 1 - step / each)
+        # Rounded as a checkpoint holds it: style steps see the same reference whether resumed or not.
         self._images[view] = _in_eight_bits(self._optimized.pixels())
         if step + 1 == each:
             self._finish_reference(view)
@@ -189,6 +190,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         if not self.scene.of_region:
             return 0.0
         variation = VARIATIONS[self.scene.settings.variation]
+        # With what the loss has already, variation / share: the mean over the region's pixels.
         return (1 / float(self.scene.coverage(view).mean()) - 1) * weight * variation(image)
 
     def finish_phase(self) -> None:
@@ -203,6 +205,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
     def start_phase(self, spent: float) -> None:
         state = self.scene.state
         if state.phase == "style" and self.to_make:
+            # The phases share one budget: style goes on where the making of references stopped.
             state.seconds = spent
             if not self.scene.settings.steps:
                 state.counts["painting_ms"] = round(1000 * spent)
@@ -250,6 +253,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
     def _register(self, view: int) -> Registered:
         """Pixels of a view that see what a reference sees, and its colors there; of several, the most frontal's."""
         count = self.scene.cameras[view].width * self.scene.cameras[view].height
+        # best: cosine between the directions in which pixel and reference see the point; -1: no reference sees it.
         best, colors = np.full(count, -1.0), np.zeros((count, 3), np.float32)
         for other, image in self.references.items():
             if other == view:
@@ -300,6 +304,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         def late_loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
             missing = self._missing_variation(view, image, weights.variation)
             found = objective.features_of(image, window)
+            # Detached for the search only: matches are constants, features still carry the gradient.
             matches = objective.matches_of({b: f.detach() for b, f in found.items()}, self.late_keys, coverage, window)
             style, variation = objective.style_distance(found, matches, coverage, window), objective.variation(image)
             loss = LATE_WEIGHT * weights.style * style + weights.variation * variation + missing

@@ -68,6 +68,7 @@ class ObjectPhotos:
 def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, threshold: float = 0.0) -> torch.Tensor:
     """[4, h, w] float32 of premultiplied rgb [h, w, 3]; alpha 0 where the coverage is at most `threshold`."""
     alpha = coverage[..., None]
+    # 1e-3 bounds the quotient where almost nothing is seen; such a pixel hardly weighs in what follows.
     rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > threshold, alpha, 0)], -1)
     return torch.from_numpy(rgba.astype(np.float32)).permute(2, 0, 1)
 
@@ -83,6 +84,7 @@ def rendered_match(
     pixel.
     """
     seen = [straight_rgba(*picture) for picture in pictures]
+    # Dividing by a small alpha amplifies noise, which would count as colors.
     if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
         for rgba in seen:
             rgba[3][rgba[3] <= SOLID] = 0
@@ -341,6 +343,7 @@ class StyledScene(Generic[Settings_co]):
 
         Over `refit_pixels` random pixels of those that count. Returns the error; None if no pixel counts.
         """
+        # A pixel without coverage has nothing to learn from: its color is the background's.
         lit = np.flatnonzero(self.coverage(view).ravel() > 1e-3)
         if len(lit) == 0:
             return None
@@ -352,6 +355,7 @@ class StyledScene(Generic[Settings_co]):
         rgb, record = self.geometry.paint(view, pixels)
         alpha = self.geometry.alpha(view).ravel()[pixels, None]
         difference = rgb + (1 - alpha) * self.background - target
+        # d/dC of weight mean (C - target)^2 over pixels and channels.
         self.geometry.learn(record, difference * np.float32(2 * weight / difference.size), self.adam.gradients)
         return float(np.square(difference).mean())
 
@@ -371,6 +375,7 @@ class StyledScene(Generic[Settings_co]):
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays(); the state is set."""
         self.field.color.values[:] = arrays["color"]
+        # After the values: on a GPU new_adam() copies them to the device.
         self.adam = self.new_adam()
         restore_moments({"adam": self.adam}, arrays)
         if self.deformer is None:

@@ -34,6 +34,7 @@ class Snerf(StyleMethod[SnerfSettings]):
     def optimizes_images(self) -> bool:
         """Whether the next step is one of images."""
         s, progress, views = self.scene.settings, self.scene.budget.progress, len(self.scene.cameras)
+        # `% 1`: the place within the round. The field needs at least one image to learn from.
         share = min(s.image_share, 0.5, views * s.rounds / s.steps) if s.steps else s.image_share
         return progress * s.rounds % 1.0 < share or not self.images
 
@@ -63,6 +64,7 @@ class Snerf(StyleMethod[SnerfSettings]):
             self.loss.to_device(rgb), self.loss.coverage(view), float(scene.background), self.loss.of_view(view),
             s.image_steps, s.image_rate / (1 + visits), lambda: not s.steps and time.perf_counter() > end,
         )  # fmt: skip
+        # Rounded as the checkpoint holds it, so that a resumed run continues from the same image.
         self.images[view], self._visits[view] = np.rint(image * 255).astype(np.uint8), (this_round, visits + 1)
         counts["pictures"] = made + 1
         return parts

@@ -130,9 +130,11 @@ class StylizationTrainer:
                 begun, self.between_steps = time.perf_counter(), False
                 parts = self.method.refit_step() if self.state.phase == "refit" else self.method.step()
                 state = self.state
+                # Compiling would use up a short budget, and lower the rates of all later steps.
                 state.seconds += (time.perf_counter() - begun) * timed
                 timed = True
                 if not all(math.isfinite(v) for v in parts.values()):
+                    # The step count goes back too, but not the clock: a budget of time still ends.
                     self._guard.roll_back(self, parts)
                     continue
                 state.step += 1
@@ -159,6 +161,7 @@ class StylizationTrainer:
             state.phase, state.step, state.seconds = self.phases[self.phases.index(state.phase) + 1], 0, 0.0
             scene.start_moving()
             self.method.start_phase(spent)
+            # On a GPU new_adam() starts from the host's values: copy back what was learned first.
             scene.collect()
             scene.adam = scene.new_adam()
             self.between_steps = True
