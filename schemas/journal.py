@@ -16,9 +16,12 @@ class Journal:
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
         self._digests: dict[str, str] = {}
+        self._cut_short = False
         make_folder(path.parent)
         if path.is_file():
-            for line in path.read_text("utf-8", "replace").splitlines():
+            text = path.read_text("utf-8", "replace")
+            self._cut_short = bool(text) and not text.endswith("\n")
+            for line in text.splitlines():
                 self._read(line)
 
     def _read(self, line: str) -> None:
@@ -35,7 +38,8 @@ class Journal:
         # Not flushed: what a power cut takes from the journal is only computed again.
         handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NOFOLLOW, 0o666)
         with open(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
+            stream.write("\n" + text if self._cut_short else text)  # or the first entry would end the fragment's line
+        self._cut_short = False
         # After the write: a file that the journal does not hold must not count as recorded.
         self._digests |= fresh
 

@@ -37,12 +37,13 @@ class Levels:
     active: int
 
     def __post_init__(self) -> None:
+        levels = 1 <= self.count <= MOST_LEVELS and 0 <= self.active <= self.count
+        cells = 1 <= self.base <= self.finest <= MOST_CELLS
         # The length is bounded because the kernels' offsets are int32.
-        sound = 1 <= self.count <= 32 and 1 <= self.base <= self.finest <= 4096 and 0 <= self.active <= self.count
-        if not sound or self.table < 8 or self.table & (self.table - 1) or self.length >= 2**31:
+        if not (levels and cells) or self.table < 8 or self.table & (self.table - 1) or self.length >= 2**31:
             raise InvalidValue(
-                f"hash grid: {self.count} levels (1..32), {self.active} of them active, of {self.base}..{self.finest} "
-                f"cells (1..4096), tables of {self.table} vertices (a power of two)"
+                f"hash grid: {self.count} levels (1..{MOST_LEVELS}), {self.active} of them active, of {self.base}.."
+                f"{self.finest} cells (1..{MOST_CELLS}), tables of {self.table} vertices (a power of two)"
             )
 
     @property

@@ -68,11 +68,12 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
     offsets = np.array([c.center for c in cameras]) - focus
     heights = offsets @ up
     flat = offsets - heights[:, None] * up
-    first = (
-        _unit(flat.mean(0))
-        if np.linalg.norm(flat.mean(0)) > 0.2 * np.linalg.norm(flat, axis=1).mean()
-        else _unit(flat[0])
-    )
+    distances = np.linalg.norm(flat, axis=1)
+    if np.linalg.norm(flat.mean(0)) > 0.2 * distances.mean():
+        first = _unit(flat.mean(0))
+    else:
+        # The first camera that is not above or below the focus, where its direction would mean nothing.
+        first = _unit(flat[int(np.argmax(distances >= 0.1 * distances.mean()))])
     second = np.cross(up, first)
     angles = np.arctan2(flat @ second, flat @ first)
     ordered = np.sort(angles)
@@ -84,7 +85,7 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
         width = 2 * np.pi - gaps.max()
         # From 5 to 95 % of the arc and back, slow at both ends.
         angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
-    radius, height = float(np.median(np.linalg.norm(flat, axis=1))), float(np.median(heights))
+    radius, height = float(np.median(distances)), float(np.median(heights))
     center = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up
     return look_at(center, focus, up)
 

@@ -22,7 +22,11 @@ def test_a_line_cut_short_and_nonsense_are_passed_over(tmp_path):
     journal = Journal(path, tmp_path)
     journal.add(["a"])
     path.write_bytes(path.read_bytes() + b'5\n[1]\n\xff\n["b", "12')
-    assert Journal(path, tmp_path).holds(["a"])
+    again = Journal(path, tmp_path)
+    assert again.holds(["a"])
+    (tmp_path / "b").write_text("b")
+    again.add(["b"])
+    assert Journal(path, tmp_path).holds(["a", "b"])
 
 
 def test_of_two_lines_for_one_file_the_later_counts(tmp_path):

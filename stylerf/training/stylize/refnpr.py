@@ -69,7 +69,10 @@ class ReferenceBudget(PhaseBudget):
         if state.phase != "style":
             return super().progress
         making = state.counts.get("painting_ms", 0) / 1000
-        return min(1.0, state.step / self.steps if s.steps else (state.seconds - making) / (s.seconds - making))
+        if s.steps:
+            return min(1.0, state.step / self.steps)
+        left = max(s.seconds - making, 1e-3)  # one slow step can use up the budget; then one style step is taken
+        return min(1.0, (state.seconds - making) / left)
 
 
 class RefNpr(StyleMethod[RefNprSettings]):

@@ -87,6 +87,16 @@ def test_an_orbit_of_cameras_all_around_is_a_full_even_circle():
         assert frame.project(focus_point(ring(range(0, 360, 15)))[None])[0][0].tolist() == pytest.approx([20, 15])
 
 
+def test_an_orbit_may_begin_at_a_camera_right_above_the_focus():
+    top = []
+    for way in (1.0, -1.0):  # their own ups cancel out
+        pose = look_at(FOCUS + [0, 0, 3], FOCUS, np.array([way, 0, 0]))
+        top.append(replace(camera(FOCUS + [1, 0, 3]), world_from_camera=pose))
+    frames = path("orbit", [*top, *ring(range(0, 360, 15))], 12)
+    distances = [np.linalg.norm((one.center - FOCUS)[:2]) for one in frames]
+    assert np.allclose(distances, 3.0, atol=1e-6)
+
+
 def test_an_orbit_of_an_arc_swings_within_it_and_comes_back():
     frames = path("orbit", ring(range(-50, 60, 10), height=0.0), 40)
     offsets = np.array([f.center for f in frames]) - FOCUS

@@ -142,6 +142,17 @@ def test_painting_counts_towards_a_budget_and_takes_a_third_at_most():
     assert np.array_equal(one.method.references[1], np.rint(one.scene.photos[1] * 255).astype(np.float32) / 255)
 
 
+@pytest.mark.parametrize("making", [900.0, 1200.0])
+def test_references_that_use_up_the_budget_leave_one_step_of_style(making):
+    one = referenced(steps=0)
+    one.scene.settings = replace(one.settings, seconds=900.0)
+    one.state.phase, one.state.seconds = "reference", making
+    one.next_phase()
+    assert one.state.phase == "style" and one.scene.budget.progress == 0
+    one.state.seconds += 0.5
+    assert one.scene.budget.progress == 1.0
+
+
 def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
     picture, _ = true_colors(referenced(), 1)
     one, parts = referenced({1: picture}, steps=12, refit_steps=1), []
