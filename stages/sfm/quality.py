@@ -10,9 +10,9 @@ from stages.sfm.silhouettes import OUTSIDE
 from stylerf.geometry.camera_conventions import from_colmap
 from stylerf.geometry.cameras import epipolar_distance, essential, largest_parallax
 
-# Two photos must match where at least this share of the points of each lies, in the other, among points that it sees:
-# under NEAR of the picture's diagonal and DEPTH of the distance away, from directions that differ by less than ANGLE
-# degrees, at distances that differ by less than SCALE.
+# Two photos are expected to match if at least SHARE of each one's points project near a point that the other sees:
+# within NEAR of the image diagonal and DEPTH of the distance, from directions less than ANGLE degrees apart, at
+# distances less than a factor of SCALE apart.
 SHARE, NEAR, DEPTH, ANGLE, SCALE = 0.5, 0.05, 0.1, 20.0, 1.5
 # Such a pair is silent with fewer matches than this share of the points that the poorer photo of the two sees. Sound
 # captures had 0.10 to 0.38 in their worst pair, the other side of a folded lego 0.

@@ -87,8 +87,8 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
         return figures, partial.commit()
 
     plain, on_cpu = bent("plain", None)
-    reported, on_device = bent("told", "cpu" if interpreted() else "cuda")
-    assert set(seen) == {"told"} and reported["steps"] == plain["steps"] == 1
+    reported, on_device = bent("bent", "cpu" if interpreted() else "cuda")
+    assert set(seen) == {"bent"} and reported["steps"] == plain["steps"] == 1
     assert "gpu_memory_mb" in reported and "gpu_memory_mb" not in plain
     for figure in ("psnr_before", "psnr_after"):
         assert reported[figure] == pytest.approx(plain[figure], abs=2e-3)

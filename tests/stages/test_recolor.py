@@ -26,7 +26,7 @@ from tests.stylerf.small import field_of, vm_color
 
 PALETTE = np.float32([[0.8, 0.1, 0.1], [0.1, 0.6, 0.2], [0.1, 0.2, 0.8], [0.9, 0.8, 0.3]])
 SHARES = [0.1, 0.4, 0.2, 0.3]
-TOLD = {"sparsity": 0.4, "palette_variation": 0.01}
+FIGURES = {"sparsity": 0.4, "palette_variation": 0.01}
 
 
 @pytest.fixture
@@ -41,10 +41,10 @@ def work(tmp_path):
 
     def write(folder):
         save_field(folder, field, "none")
-        save_palette(folder, color.palette, color.palette, SHARES, TOLD)
+        save_palette(folder, color.palette, color.palette, SHARES, FIGURES)
 
     made.commit(
-        work, "field", "palette", "decompose", {"scene": scene, "field": fit}, write, figures=TOLD | {"psnr": 30}
+        work, "field", "palette", "decompose", {"scene": scene, "field": fit}, write, figures=FIGURES | {"psnr": 30}
     )
     plain = field_of(field.space, 3, vm_color(1))
     inputs = {"scene": scene}
@@ -67,7 +67,7 @@ def test_colors_are_counted_by_their_shares_and_numbers_stay(work):
     np.testing.assert_allclose(after.color.present_palette, expected, atol=1e-6)
     entries = json.loads(found.file("palette.json").read_text())
     assert [one["now"] for one in entries["colors"]][::3] == ["#ff00ff", "#00ffff"]
-    assert entries["colors"][0]["learned"] == "#1a9933" and entries["sparsity"] == TOLD["sparsity"]
+    assert entries["colors"][0]["learned"] == "#1a9933" and entries["sparsity"] == FIGURES["sparsity"]
     assert found.manifest.figures["sparsity"] == 0.4 and (found.path / "palette.png").is_file()
 
 
@@ -77,21 +77,21 @@ def test_figures_of_weights_do_not_outlive_them(work):
     again = recolored(work, palette=("0=#ff00ff",), name="again", of="biased")
     for one in (changed, again):
         reported = json.loads(one.file("palette.json").read_text())
-        assert not {*TOLD} & {*one.manifest.figures, *reported}
+        assert not {*FIGURES} & {*one.manifest.figures, *reported}
         assert palette_rows(one, True) == [{"name": one.name}]
     box = np.float32([[0, 0, 0], [1, 1, 1]])
     module = PaletteModule.create(np.random.default_rng(0), PALETTE, box)
 
     def write(folder):
-        save_edit(folder, Edit(module, PaletteEdits()), SHARES, TOLD)
+        save_edit(folder, Edit(module, PaletteEdits()), SHARES, FIGURES)
 
-    learned = made.commit(work, "edit", "learned", "edit_learn", {}, write, figures=TOLD)
+    learned = made.commit(work, "edit", "learned", "edit_learn", {}, write, figures=FIGURES)
     kept = []
     for name, options in {"scaled": {"palette_weight": ("1=2",)}, "red": {"palette": ("1=#ff0000",)}}.items():
         config = PaletteConfig(**options)
         found, _ = execute(edit_palette.SPEC, edit_palette.run, work, name, {"edit": learned}, config, Context())
-        kept.append({key: found.manifest.figures.get(key) for key in TOLD})
-    assert kept == [dict.fromkeys(TOLD), TOLD]
+        kept.append({key: found.manifest.figures.get(key) for key in FIGURES})
+    assert kept == [dict.fromkeys(FIGURES), FIGURES]
 
 
 def test_a_change_around_a_pixel_is_placed_on_the_visible_surface(work):
@@ -154,7 +154,7 @@ def test_the_palette_of_a_whole_field_is_reported_by_what_learned_it(work):
     new = recolored(work, palette=("0=#ff00ff",))
     assert palette_behind(new).name == "new" and palette_behind(work.get("field", "plain")) is None
     (row,) = palette_rows(new, False)
-    assert row == {"name": "new", **TOLD}
+    assert row == {"name": "new", **FIGURES}
     assert palette_rows(work.get("field", "plain"), True) == [] and palette_rows(None, False) == []
     assert palette_facts(new)["palette_pixels"] == "the opaque pixels"
     assert palette_facts(work.get("field", "plain"))["palette_pixels"] == "the region's pixels"

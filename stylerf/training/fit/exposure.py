@@ -40,7 +40,7 @@ class Exposures:
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
     def judged(self, rendered: Renderer, stops: np.ndarray) -> np.ndarray:
-        """[views] stops by which photos are overexposed, their mean 0. stops: what the dataset takes them for now."""
+        """Estimate by how many stops each photo is overexposed, [views], mean 0. stops: the present estimate."""
         points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(light))
         found, light_there, distance = self._surfaces(rendered, others, pixels)

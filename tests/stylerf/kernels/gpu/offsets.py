@@ -1,4 +1,4 @@
-"""A kernel of its own for the test of what lies beyond 2^31."""
+"""A kernel for the test of offsets beyond 2^31."""
 
 import triton
 import triton.language as tl
