@@ -56,7 +56,7 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
     styled = style_file(config, field) is not None
     networks = available_networks(config.perceptual != "none", styled, config.features)
     digests: dict[str, Any] = digests_of_files(config)
-    return replace(config, **digests, networks=networks)
+    return replace(config, **digests, networks=networks, features=config.features if styled else "")
 
 
 def digests_of_files(config: EvaluateConfig) -> dict[str, str]:

@@ -20,7 +20,10 @@ class EvaluateConfig:
     )
     style_digest: str = ""
     features: str = advanced(
-        "", "style", help="feature network of the style distances: a name or a file of VGG weights"
+        "",
+        "style",
+        help="feature network of the style distances: a name or a file of VGG weights",
+        digest="networks",
     )
     style_side: int = advanced(256, "style", help="longer side in pixels at which render and style image are compared")
     perceptual: str = advanced(
@@ -29,7 +32,7 @@ class EvaluateConfig:
         choices=("auto", "none"),
         help="auto: perceptual distances whose weights are available",
     )
-    networks: str = ""
+    networks: str = ""  # names and digests of the networks that are used
     consistency: str = option(
         "correct",
         choices=CONSISTENCY,

@@ -2,30 +2,34 @@
 
 import errno
 import importlib
+import inspect
 import itertools
 import json
 import os
+import pkgutil
 import random
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import partial as partial_call
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stages.configs
 from schemas import atomic_write
 from schemas import partial_artifact as partial
 from schemas.artifact import VERB_OF
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST, Recipe
 from schemas.work_folder import Artifact, WorkFolder
-from stages.configs import option
+from stages.configs import option, options_of
 from stages.run import clock, runner
 from stages.run.progress import Context, Silent
 from stages.run.runner import Spec, execute, recipe_of
@@ -554,6 +558,23 @@ def test_without_paths_a_recipe_is_the_same_and_tells_names_alone():
     named = runner.without_folders(recipe)
     assert named.config == {"style": "a=b.png", "reference": ["0012=p.png", "7=q.png"], "pause": 0.5, "of": "/x/y"}
     assert named.digest == recipe.digest
+
+
+def test_every_option_that_names_files_has_a_digest_in_their_place():
+    """Else --no-paths would leave its folders in the manifest, and a changed file would go unnoticed."""
+    names_files = re.compile(r"FILE|FOLDER|DIR|\.png|\b(file|folder|style image)\b")
+    found = set()
+    for module in pkgutil.iter_modules(stages.configs.__path__):
+        for config in vars(importlib.import_module(f"stages.configs.{module.name}")).values():
+            if not (inspect.isclass(config) and is_dataclass(config)):
+                continue
+            for item in options_of(config):
+                what = item.metadata
+                text = isinstance(item.default, str | tuple) and what["metavar"] != "N" and not what["choices"]
+                if text and names_files.search(f"{what['metavar']} {what['help']}"):
+                    found.add(item.name)
+                    assert what["digest"], (config.__name__, item.name)
+    assert found >= {"images", "source", "features", "style", "reference", "masks", "flow", "path", "mask", "scribble"}
 
 
 def _during(act, outcome=run):
