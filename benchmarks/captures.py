@@ -5,6 +5,8 @@ With $STYLERF_BENCH_WORK the work folders are kept there.
 Protocol: every capture is fitted as the product does, and once more without each measure, all for STEPS steps on the
 same rays, one seed. `psnr`, `ssim`: means over the test views by `stylerf eval`. `near`: the share of test pixels whose
 depth is under a third of their view's median depth, in percent: a capture has next to nothing there but floaters.
+`heavy`: how many samples of a test ray weigh more than 0.01, a mean: a ray that meets one surface has one or two.
+`occupied`: the share of the occupancy grid's cells, in percent.
 Steps rather than seconds: a busy machine changes nothing.
 """
 
@@ -19,13 +21,18 @@ import numpy as np
 from benchmarks.conditions import here_and_now
 from benchmarks.fits import SCENES, stylerf
 
-CAPTURES = ("fox 270x480", "fern 504x378", "cup 400x300")
+CAPTURES = ("fox 270x480", "fern 504x378", "flower 504x378", "cup 400x300")
 STEPS = 700
+HEAVY = 0.01  # weight of a sample that a ray plainly shows
 # By name: what is left out or exchanged, by layout where that decides.
 MEASURES = {
     "defaults": {},
     "no near-camera gradient scaling": {"unbounded": ("--near-scaling-distance", "0")},
     "no smoothing": {"unbounded": ("--smoothness", "0"), "forward": ("--smoothness", "0")},
+    "no clearing of unseen cells": {"unbounded": ("--least-weight", "0"), "forward": ("--least-weight", "0")},
+    "no distortion loss": {"unbounded": ("--distortion-weight", "0"), "forward": ("--distortion-weight", "0")},
+    "density: planes and lines": {"forward": ("--field", "vm")},
+    "density: hash grid": {"unbounded": ("--field", "hash+vm")},
     "space: box": {"unbounded": ("--space", "box"), "forward": ("--space", "box")},
     "space: contraction": {"forward": ("--space", "contraction")},
     "view-independent colors": {"unbounded": ("--degree", "0"), "forward": ("--degree", "0")},
@@ -58,6 +65,28 @@ def depths_of(work: Path, name: str) -> list[np.ndarray]:
     return [render_view(field, scene.cameras[i], threads=threads).z for i in scene.splits["test"]]
 
 
+def heavy_samples(work: Path, name: str) -> float:
+    """Mean number of samples that weigh more than HEAVY, of every 37th ray of the test views."""
+    from schemas.work_folder import WorkFolder
+    from stages.artifacts.field import load_field
+    from stages.artifacts.scene import load_scene
+    from stylerf.kernels.cpu.compiling import set_threads
+    from stylerf.kernels.cpu.ray_samples import Rays
+
+    threads = set_threads(os.cpu_count() or 1)
+    scene = load_scene(WorkFolder(work).find("scene", "main"))
+    field = load_field(WorkFolder(work).find("field", name))[0]
+    heavy = rays = 0
+    for i in scene.splits["test"]:
+        camera = scene.cameras[i]
+        origins, directions = camera.rays(np.arange(0, camera.width * camera.height, 37))
+        samples = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, threads)
+        for first, end in zip(samples.starts, samples.ends):
+            heavy += int((samples.weights[first:end] > HEAVY).sum())
+        rays += len(origins)
+    return heavy / rays
+
+
 def layout_of(work: Path) -> str:
     """object, forward or unbounded."""
     from schemas.work_folder import WorkFolder
@@ -81,6 +110,8 @@ def measure(scene: str, layout: str, name: str, steps: int, work: Path) -> dict 
         "psnr": round(quality["psnr"], 3),
         "ssim": round(quality["ssim"], 4),
         "near": round(near_share(depths_of(work, label)), 3),
+        "heavy": round(heavy_samples(work, label), 2),
+        "occupied": round(100 * figures["occupied_share"], 1),
         "parameters": figures["parameters"],
         "train_seconds": figures["train_seconds"],
     }

@@ -20,6 +20,7 @@ SCENES = {
     "lego 200x200": ("lego", ["--downscale", "4"]),
     "lego 400x400": ("lego", ["--downscale", "2"]),
     "fern 504x378": ("fern", ["--images", "images_8"]),
+    "flower 504x378": ("flower", ["--images", "images_8"]),
     "fox 270x480": ("fox", ["--downscale", "4"]),
     "cup 400x300": ("cup", ["--downscale", "2"]),
 }

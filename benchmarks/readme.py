@@ -247,12 +247,14 @@ def captures() -> str:
         return ""
     report = result("captures.json")
     lines = [
-        "| scene | ablation | held-out PSNR | SSIM | test pixels nearer than a third of the median depth |",
-        "|---|---|---|---|---|",
+        "| scene | ablation | held-out PSNR | SSIM | samples a ray over 0.01 | occupied cells | pixels nearer than a third "
+        "of the median depth |",
+        "|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:
         ablation = row["measure"] + (f" (`{row['flags']}`)" if row["flags"] else "")
-        cells = [row["scene"], ablation, f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}", f"{row['near']:.2f} %"]
+        cells = [row["scene"], ablation, f"{row['psnr']:.2f} dB", f"{row['ssim']:.3f}"]
+        cells += [f"{row['heavy']:.1f}", f"{row['occupied']:.0f} %", f"{row['near']:.2f} %"]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, "", where(report)])
 

@@ -9,7 +9,17 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import save_field
 from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
-from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, FitConfig, budget_of, capacity_of, kinds_of
+from stages.configs.fit import (
+    DISTORTION,
+    FIELD,
+    LEAST_WEIGHT,
+    NEAR_SCALING,
+    SMOOTHNESS,
+    FitConfig,
+    budget_of,
+    capacity_of,
+    kinds_of,
+)
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.memory import in_words
@@ -26,11 +36,12 @@ from stylerf.training.fit.settings import (
     FitSettings,
     Kinds,
     capacity_at,
+    cells_for,
     first_parts,
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=15, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=16, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -148,7 +159,7 @@ def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str
         background = scene.background
     else:
         background = "white" if config.background == "auto" else config.background
-    kinds = Kinds(*kinds_of(config.field), config.head)
+    kinds = Kinds(*kinds_of(FIELD[scene.layout] if config.field == "auto" else config.field), config.head)
     smoothness = SMOOTHNESS[scene.layout] if config.smoothness < 0 else config.smoothness
     near = config.near_scaling_distance
     return FitSettings(
@@ -167,6 +178,8 @@ def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str
         # In a capture, with its opaque background, every ray is opaque anyway.
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
+        distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
+        least_weight=LEAST_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
         # An object's light differs from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
@@ -188,8 +201,9 @@ def _levels_of(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWar
     more = {"level_max_steps": LEVEL_MAX_STEPS if contraction else ()}
     if fixed is not None:
         levels = _fixed_levels(*fixed, first_color=16 if kinds.head == "linear" else fixed[2])
+        levels = cells_for(levels, space.kind)
         return {"levels": levels, "level_ends": four[: len(levels) - 1], **more}
-    levels = levels_for(kinds, space.kind, pixels)
+    levels = cells_for(levels_for(kinds, space.kind, pixels), space.kind)
     return {"levels": levels, "level_ends": four if len(levels) == len(four) else FIVE_LEVEL_ENDS, **more}
 
 

@@ -17,11 +17,12 @@ def commands(monkeypatch):
     def run(*arguments: str) -> dict:
         understood([*arguments, "--json"])
         seen.append(arguments)
-        return {"figures": {"psnr": 20.0, "ssim": 0.5, "parameters": 9, "train_seconds": 1.0}}
+        return {"figures": {"psnr": 20.0, "ssim": 0.5, "parameters": 9, "train_seconds": 1.0, "occupied_share": 0.25}}
 
     monkeypatch.setattr(captures, "stylerf", run)
     monkeypatch.setattr(captures, "layout_of", lambda work: "forward" if "fern" in str(work) else "unbounded")
     monkeypatch.setattr(captures, "depths_of", lambda work, name: [np.array([[1.0, 9.0], [9.0, 0.0]])])
+    monkeypatch.setattr(captures, "heavy_samples", lambda work, name: 3.4567)
     return seen
 
 
@@ -39,6 +40,7 @@ def test_each_capture_is_fitted_as_it_is_and_without_each_measure(commands, monk
     fits = [arguments for arguments in commands if arguments[0] == "fit"]
     assert len(fits) == len(rows) and all("7" in arguments for arguments in fits)
     assert rows[0]["near"] == pytest.approx(100 / 3, abs=1e-3)
+    assert rows[0]["heavy"] == 3.46 and rows[0]["occupied"] == 25.0
     monkeypatch.setattr(readme, "RESULTS", tmp_path)
     assert readme.captures().count("fern 504x378") == len(by_scene["fern 504x378"])
 

@@ -6,6 +6,11 @@ from dataclasses import dataclass
 from stages.configs import advanced, option
 
 FIELD_KINDS = ("vm", "hash", "voxel")
+# The others by layout. Objects are solids with few layers, which products of planes and lines hold in few numbers; the
+# many layers of a capture need a density that each place has to itself (docs/decisions/0047).
+FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
+DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
+LEAST_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
 # By layout, whenever density is trained (docs/decisions/0011).
 SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
 NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus
@@ -17,9 +22,10 @@ class FitConfig:
 
     budget: str = option("5m", help="training time (60s, 5m, 1h) or number of steps; longer gives better quality")
     field: str = option(
-        "vm",
-        metavar="KIND|DENSITY+COLOR",
-        help="representation: vm (planes and lines), hash (hash grid), voxel (sparse grid); or two kinds, as vm+hash",
+        "auto",
+        metavar="auto|KIND|DENSITY+COLOR",
+        help="representation: vm (planes and lines), hash (hash grid), voxel (sparse grid); or two kinds, as hash+vm "
+        "(auto: by the scene's layout)",
     )
     capacity: str = option(
         "grow",
@@ -74,6 +80,14 @@ class FitConfig:
     coverage_weight: float = advanced(
         0.1, "regularization", help="weight of the error of an object's alpha beside that of its colors"
     )
+    distortion_weight: float = advanced(
+        -1.0, "regularization", help="weight of the spread of a ray's weight over depths (-1: by the scene's layout)"
+    )
+    least_weight: float = advanced(
+        -1.0,
+        "regularization",
+        help="empty cells in which no sample of a training ray weighs this much (0: none; -1: by the scene's layout)",
+    )
     gradient_clip: float = advanced(
         0.0, "safeguards", help="clip gradients at this multiple of their running norm (0: never)"
     )
@@ -82,9 +96,12 @@ class FitConfig:
     def __post_init__(self) -> None:
         budget_of(self.budget)
         capacity_of(self.capacity)
-        kinds_of(self.field)
+        if self.field != "auto":
+            kinds_of(self.field)
         if min(self.opacity_weight, self.coverage_weight, self.gradient_clip) < 0:
             raise ValueError("opacity_weight, coverage_weight and gradient_clip must not be negative")
+        if self.distortion_weight > 1 or self.least_weight > 1:
+            raise ValueError("distortion_weight and least_weight must be at most 1")
         if not 0 <= self.visual_hull <= 1:
             raise ValueError("visual_hull must be a fraction, 0 to 1")
         if self.min_gain < 0 or self.rate < 0 or self.checkpoint_every_seconds <= 0:
@@ -120,5 +137,7 @@ def kinds_of(text: str) -> tuple[str, str]:
     """'hash' -> ('hash', 'hash'); 'vm+hash' -> ('vm', 'hash'), density first."""
     kinds = text.split("+") if "+" in text else [text, text]
     if len(kinds) != 2 or not set(kinds) <= set(FIELD_KINDS):
-        raise ValueError(f"field {text!r} is neither one of {', '.join(FIELD_KINDS)} nor two of them, as vm+hash")
+        raise ValueError(
+            f"field {text!r} is neither auto, one of {', '.join(FIELD_KINDS)}, nor two of them, as hash+vm"
+        )
     return kinds[0], kinds[1]

@@ -79,6 +79,11 @@ class OccupancyGrid:
         occupied = self.highest > min(threshold, float(np.mean(np.minimum(self.highest, MARK))))
         self.set_occupied(occupied)
 
+    def empty(self, clear: np.ndarray) -> None:
+        """Replace the cells known to be empty, [cells^3] bool; what they hold is forgotten."""
+        self.clear = clear
+        self.highest[clear] = 0
+
     def set_occupied(self, occupied: np.ndarray) -> None:
         """Recompute `distances` from occupied cells [cells^3] bool, without those known to be clear."""
         if self.clear is not None:

@@ -132,6 +132,11 @@ class SpaceWarp:
         radius = np.where(largest > 1, 1 / np.maximum(2 - reach, 1e-9), largest)
         return np.asarray(p[:3]) + local / np.maximum(largest, 1e-12) * radius / np.asarray(p[3:6])
 
+    @property
+    def middle(self) -> float:
+        """Distance that is as far from a camera as from infinity, scene units: half of the cube's depth or less."""
+        return self.parameters[2] if self.kind == "frustum" else 1.0
+
     def describe(self) -> dict[str, Any]:
         """Return the JSON form."""
         return {"kind": self.kind, "parameters": list(self.parameters), "near": self.near, "far": self.far}

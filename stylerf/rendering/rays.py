@@ -12,6 +12,7 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import (
     composite,
     composite_backward,
+    distortion_backward,
     scale_near_gradients,
     surface_distance,
     visible_weights,
@@ -95,6 +96,7 @@ def backward(
     displacement_to: np.ndarray | None = None,
     *,
     near_scaling_distance: float = 0.0,
+    distortion: float = 0.0,
     density_within: np.ndarray | None = None,
 ) -> None:
     """Add the parts' gradients to buffers [threads, parameters]; a buffer of None leaves its part out.
@@ -108,6 +110,7 @@ def backward(
         displacement_to: buffer of the displacement grid, [threads, 3 m^3].
         near_scaling_distance: scene units; gradients of nearer samples are scaled by the square of their distance
             relative to it. 0: no scaling.
+        distortion: weight of the sum of the rays' distortions (distortion_backward).
         density_within: [s, s, s] bool, cells of the cube outside of which no density learns.
     """
     samples, colors, arena = rendered.samples, rendered.colors, rendered.arena
@@ -118,6 +121,9 @@ def backward(
     # In place: density, color and displacement all learn from the scaled gradients.
     if near_scaling_distance > 0:
         scale_near_gradients(samples, np.float32(near_scaling_distance), threads, sigma_gradients, color_gradients)
+    if distortion > 0:
+        middle = np.float32(field.space.middle)
+        distortion_backward(samples, np.float32(distortion), middle, threads, sigma_gradients)
     if color_to is not None:
         points = samples.shading_points()
         field.color.backward(points, rendered.basis, colors, color_gradients, color_to)

@@ -52,16 +52,31 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
 def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
     scene = SimpleNamespace(**vars(SCENE) | {"cameras": [SimpleNamespace(width=20, height=pixels)]})
     requested = _settings(FitConfig(), scene, SPACES[space])
-    assert requested.levels == (*LEVELS[:3], last) and not requested.level_max_steps
+    levels = tuple(replace(level, cells=64) for level in requested.levels)
+    assert levels == (*LEVELS[:3], last) and not requested.level_max_steps
+    assert [level.cells for level in requested.levels] == ([64] * 4 if space == "box" else [64, 64, 128, 128])
     assert len(requested.level_ends) == len(requested.levels) and ends_in_time(requested)
     assert LEVELS[-1].resolution == FULL.resolution and LEVELS[-1].color.resolution < FULL.color.resolution
+
+
+@pytest.mark.parametrize(
+    ("layout", "kind", "clears"), [("object", "vm", False), ("forward", "hash", True), ("unbounded", "vm", True)]
+)
+def test_captures_are_cleared_of_haze_and_forward_facing_ones_have_a_local_density(layout, kind, clears):
+    scene = SimpleNamespace(**vars(SCENE) | {"layout": layout})
+    requested = _settings(FitConfig(), scene, SPACES["frustum"])
+    assert (requested.kinds.density, requested.kinds.color) == (kind, "vm")
+    assert (requested.least_weight > 0) == (requested.distortion > 0) == clears
+    given = _settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
+    assert (given.kinds.density, given.least_weight, given.distortion) == ("voxel", 0.0, 0.3)
 
 
 @pytest.mark.parametrize(("space", "level_max_steps"), [("contraction", True), ("box", False)])
 @pytest.mark.parametrize("options", [{"field": "voxel"}, {"field": "vm+hash"}, {"head": "mlp"}])
 def test_other_kinds_search_four_rungs(space, level_max_steps, options):
     requested = settings(SPACES[space], **options)
-    assert [level.resolution for level in requested.levels] == [64, 128, 192, 256] and requested.levels[-1] == FULL
+    assert [level.resolution for level in requested.levels] == [64, 128, 192, 256]
+    assert replace(requested.levels[-1], cells=64) == FULL
     assert (
         len(requested.level_ends) == 4
         and ends_in_time(requested)

@@ -111,7 +111,8 @@ class GpuField:
     def backward(
         self, rendered: GpuRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
         displacement_to: Tensor | None = None,
-        *, near_scaling_distance: float = 0.0, density_within: tuple[Tensor, int] | None = None,
+        *, near_scaling_distance: float = 0.0, distortion: float = 0.0,
+        density_within: tuple[Tensor, int] | None = None,
     ) -> None:  # fmt: skip
         """Add the parts' gradients to flat buffers, from dL/d(unmapped) [rays, 5]; see backward() in rendering/rays.py.
 
@@ -121,6 +122,8 @@ class GpuField:
         of_sigma, of_colors = launch.composite_backward(
             r.samples, r.colors, r.unmapped, gradients, near_scaling_distance
         )
+        if distortion > 0:
+            launch.distortion_backward(r.samples, distortion, self.space.middle, of_sigma)
         if color_to is not None:
             self.color.backward(r.samples, r.rays.directions, r.colors, of_colors, color_to)
         if density_to is not None:

@@ -154,21 +154,24 @@ class GpuDensity(GpuPart):
         )  # fmt: skip
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        """Add dL/dx to out [room, 3], x the samples' positions in the cube."""
-        raise NotImplementedError
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube; only of kinds that `moves` tells."""
+        s = samples
+        over_samples(
+            deformation.density_position_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total,
+            out, *self.size, DENSITY=self.code, RANK=self.rank, WIDTH=self.width,
+        )  # fmt: skip
 
     def smooth(self, strength: float, to: Tensor) -> None:
         self.grid.smooth(self.values, strength, to)
 
 
+class GpuHashDensity(GpuDensity):
+    moves = True
+
+
 class GpuVmDensity(GpuDensity):
     grid: GpuPlanes
     moves = True
-
-    def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        s = samples
-        given = self.table, s.x, s.sigma, sigma_gradients, s.total, out, *self.size
-        over_samples(deformation.density_position_kernel, s, *given, RANK=self.rank, WIDTH=self.width)
 
     def smooth(self, strength: float, to: Tensor) -> None:
         self.grid.smooth(self.values, strength, to, len(self.values))
@@ -311,7 +314,7 @@ class GpuRegionColor(GpuHashColor):
         over_samples(regions.color_backward_kernel, s, *given, LEVELS=self.levels)
 
 
-DENSITY_KINDS: dict[str, type[GpuDensity]] = {"vm": GpuVmDensity, "hash": GpuDensity, "voxel": GpuDensity}
+DENSITY_KINDS: dict[str, type[GpuDensity]] = {"vm": GpuVmDensity, "hash": GpuHashDensity, "voxel": GpuDensity}
 COLOR_KINDS: dict[str, type[GpuColor]] = {
     "vm": GpuVmColor,
     "hash": GpuHashColor,

@@ -5,7 +5,7 @@ from numba import prange
 
 from stylerf.kernels.cpu.compiling import parallel_kernel
 
-_ONE, _ZERO, _HALF = np.float32(1), np.float32(0), np.float32(0.5)
+_ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
 SURFACE_REACH = np.float32(0.05)  # of a sample's distance: how thick the surface around it is taken to be
 
 
@@ -113,6 +113,41 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
                 behind -= weights[k] * d
                 transmittance -= weights[k]  # T_{k+1} = 1 - w_0 - ... - w_k
                 sigma_gradients[k] = deltas[k] * (transmittance * d - behind)
+
+
+@parallel_kernel
+def distortion_backward(samples, strength, middle, threads, sigma_gradients):
+    """Add dL/d(sigma) of each ray's distortion (Barron et al. 2022, eq. 15, without the term of single intervals):
+
+        L = strength sum_ij w_i w_j |s_i - s_j|,    s = t / (t + middle)
+
+    dL/dw_k = 2 strength (s_k (W< - W>) - (S< - S>)), with W and S the sums of w and of w s in front of k and behind it.
+    The opaque background takes part: haze before it is as far from it as from any surface.
+    """
+    starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            total, moment = _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                total += weights[k]
+                moment += weights[k] * (t[k] / (t[k] + middle))
+            # As in composite_backward: first sum_i w_i D_i, then what is left of it behind each sample.
+            behind, before, moment_before = _ZERO, _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                w, s = weights[k], t[k] / (t[k] + middle)
+                before += w
+                moment_before += w * s
+                behind += w * (s * (_TWO * before - w - total) - (_TWO * moment_before - w * s - moment))
+            transmittance, before, moment_before = _ONE, _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                w, s = weights[k], t[k] / (t[k] + middle)
+                before += w
+                moment_before += w * s
+                d = s * (_TWO * before - w - total) - (_TWO * moment_before - w * s - moment)
+                behind -= w * d
+                transmittance -= w
+                sigma_gradients[k] += _TWO * strength * deltas[k] * (transmittance * d - behind)
 
 
 @parallel_kernel

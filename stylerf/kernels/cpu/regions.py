@@ -70,6 +70,21 @@ def ends_inside(marked, cells, points, t, threads, out):
 
 
 @parallel_kernel
+def mark_cells(samples, cells, least, threads, marked):
+    """Set marked[cell] = 1 for the cells of samples that weigh at least `least`; marked: [cells^3] uint8.
+
+    The opaque background (delta 0) lies in no cell. Threads may mark the same cell: they all write 1.
+    """
+    starts, ends, x, weights, deltas = samples.starts, samples.ends, samples.x, samples.weights, samples.deltas
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            for k in range(starts[r], ends[r]):
+                if weights[k] >= least and deltas[k] > _ZERO:
+                    marked[cell_of(x, k, cells)] = np.uint8(1)
+
+
+@parallel_kernel
 def zero_outside(marked, cells, samples, threads, values):
     """Set values[k] = 0 for samples whose cell is not marked; marked: [cells^3] bool."""
     starts, ends, x = samples.starts, samples.ends, samples.x

@@ -135,6 +135,47 @@ def composite_backward_kernel(
 
 
 @triton.jit(do_not_specialize=["rays"])
+def distortion_backward_kernel(
+    weights, deltas, t, starts, ends, strength, middle, sigma_gradients, rays, BLOCK: tl.constexpr
+):
+    """Add dL/d(sigma) of each ray's distortion; see the CPU's distortion_backward."""
+    _r, _valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
+    zero = first.to(tl.float32) * 0.0
+    longest = tl.max(count, axis=0)
+    total, moment = zero, zero
+    for i in range(0, longest):
+        own = i < count
+        w = tl.load(weights + first + i, mask=own, other=0.0)
+        far = tl.load(t + first + i, mask=own, other=0.0)
+        total += w
+        moment += w * (far / (far + middle))
+    behind, before, moment_before = zero, zero, zero
+    for i in range(0, longest):
+        own = i < count
+        w = tl.load(weights + first + i, mask=own, other=0.0)
+        far = tl.load(t + first + i, mask=own, other=0.0)
+        s = far / (far + middle)
+        before += w
+        moment_before += w * s
+        behind += w * (s * (2.0 * before - w - total) - (2.0 * moment_before - w * s - moment))
+    transmittance, before, moment_before = zero + 1.0, zero, zero
+    for i in range(0, longest):
+        own = i < count
+        k = first + i
+        w = tl.load(weights + k, mask=own, other=0.0)
+        far = tl.load(t + k, mask=own, other=0.0)
+        s = far / (far + middle)
+        before += w
+        moment_before += w * s
+        d = s * (2.0 * before - w - total) - (2.0 * moment_before - w * s - moment)
+        behind -= w * d
+        transmittance -= w
+        length = tl.load(deltas + k, mask=own, other=0.0)
+        old = tl.load(sigma_gradients + k, mask=own, other=0.0)
+        tl.store(sigma_gradients + k, old + 2.0 * strength * length * (transmittance * d - behind), mask=own)
+
+
+@triton.jit(do_not_specialize=["rays"])
 def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr):
     """dL/d(out) [rays, 5] of the squared error against straight rgba [rays, 4], both over a background [rays, 3].
 

@@ -10,9 +10,11 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.color_heads import head_rows
 from stylerf.kernels.gpu.hash_color import lane_gradients, vertex_row
+from stylerf.kernels.gpu.hash_levels import level_tile_slopes
 from stylerf.kernels.gpu.indexing import SIZES, cell, offset, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.march import cell_number, displaced, warp_at
 from stylerf.kernels.gpu.shading import bands_of, of_channel, to_learn
+from stylerf.kernels.gpu.tables import VM
 from stylerf.kernels.gpu.vm import place, tile
 
 
@@ -43,10 +45,10 @@ def turned(m: tl.constexpr, u, v, w, s0, s1, s2):
 
 @triton.jit(do_not_specialize=SIZES)
 def density_position_kernel(
-    table, points, sigma, sigma_gradients, total, out, s0, s1, s2,
-    RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
+    table, layout, points, sigma, sigma_gradients, total, out, s0, s1, s2,
+    DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/dx of a vm density to out [n, 3]; the slope is that of the cell a sample lies in."""
+    """Add dL/dx of a vm or hash density to out [n, 3]; the slope is that of the cell a sample lies in."""
     count = tl.load(total)
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -57,12 +59,16 @@ def density_position_kernel(
         x, y, z = vector(points, k, valid)
         ax, ay, az = vector(out, k, valid)
         mask = valid[:, None] & (columns[None, :] < RANK)
-        for m in tl.static_range(3):
-            first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
-            u, v, w = slopes(table, first, second, line, fu, fv, fw, columns, RANK, mask)
-            u, v, w = tl.sum(u, axis=1), tl.sum(v, axis=1), tl.sum(w, axis=1)
-            bx, by, bz = turned(m, u, v, w, s0, s1, s2)
-            ax, ay, az = ax + g * bx, ay + g * by, az + g * bz
+        if DENSITY == VM:
+            for m in tl.static_range(3):
+                first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)
+                u, v, w = slopes(table, first, second, line, fu, fv, fw, columns, RANK, mask)
+                u, v, w = tl.sum(u, axis=1), tl.sum(v, axis=1), tl.sum(w, axis=1)
+                bx, by, bz = turned(m, u, v, w, s0, s1, s2)
+                ax, ay, az = ax + g * bx, ay + g * by, az + g * bz
+        else:
+            u, v, w = level_tile_slopes(table, layout, x, y, z, columns, RANK, 1, mask)
+            ax, ay, az = ax + g * tl.sum(u, axis=1), ay + g * tl.sum(v, axis=1), az + g * tl.sum(w, axis=1)
         # A sample belongs to one lane, and launches follow one another: no atomics needed.
         store_vector(out, k, ax, ay, az, valid)
 

@@ -54,6 +54,27 @@ def level_tile(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.co
 
 
 @triton.jit
+def level_tile_slopes(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
+    """Three tiles [samples, WIDTH]: slopes of level_tile along x, y, z of the cube, in the cell a point lies in."""
+    size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
+    i, fx = cell(x[:, None], size)
+    j, fy = cell(y[:, None], size)
+    k, fz = cell(z[:, None], size)
+    of_x, of_y, of_z = fx * 0.0, fx * 0.0, fx * 0.0
+    for corner in tl.static_range(8):
+        a, b, c = corner // 4, (corner // 2) % 2, corner % 2
+        at = vertex_number(times_x, times_y, of_hash, hashed, i + a, j + b, k + c)
+        values = tl.load(table + at * ROW + first, mask=mask, other=0.0).to(tl.float32)
+        # A corner's weight wx wy wz has the slope +-wy wz along x, and so on.
+        wx, wy, wz = (fx if a else 1.0 - fx), (fy if b else 1.0 - fy), (fz if c else 1.0 - fz)
+        of_x += (wy * wz * values) if a else -(wy * wz * values)
+        of_y += (wx * wz * values) if b else -(wx * wz * values)
+        of_z += (wx * wy * values) if c else -(wx * wy * values)
+    cells = (size - 1).to(tl.float32)
+    return of_x * cells, of_y * cells, of_z * cells
+
+
+@triton.jit
 def level_tile_scatter(to, layout, x, y, z, gradient, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
     """Add gradient [samples, WIDTH] times each vertex's weight to the levels' rows of `to`, laid out as the table."""
     size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)

@@ -114,6 +114,12 @@ def zero_outside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor
     over_samples(regions.keep_kernel, samples, marked, cells, samples.x, samples.total, values)
 
 
+def mark_cells(samples: GpuSamples, cells: int, least: float, marked: Tensor) -> None:
+    """Set `marked` (uint8 [cells^3]) to 1 where a sample weighs at least `least`; not for the opaque background."""
+    s = samples
+    over_samples(regions.mark_kernel, s, s.x, s.weights, s.deltas, s.total, float(least), cells, marked)
+
+
 def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
     """Return [rays, 6]: sum w, then sums over marked cells of w, w t and w x."""
     n, s = len(samples.starts), samples
@@ -153,6 +159,13 @@ def composite_backward(
         compositing.composite_backward_kernel, n, RAYS, *given, sigma_gradients, color_gradients, n, num_warps=1
     )  # fmt: skip
     return sigma_gradients, color_gradients
+
+
+def distortion_backward(samples: GpuSamples, strength: float, middle: float, sigma_gradients: Tensor) -> None:
+    """Add dL/d(sigma) of the rays' distortion, times `strength`, to sigma_gradients [room]."""
+    s, n = samples, len(samples.starts)
+    given = s.weights, s.deltas, s.t, s.starts, s.ends, float(strength), float(middle)
+    over(compositing.distortion_backward_kernel, n, RAYS, *given, sigma_gradients, n, num_warps=1)
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:

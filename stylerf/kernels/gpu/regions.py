@@ -34,6 +34,19 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
         tl.store(values + k, 0.0, mask=inside & (own == 0))
 
 
+@triton.jit(do_not_specialize=["cells"])
+def mark_kernel(points, weights, deltas, total, least, cells, marked, BLOCK: tl.constexpr):
+    """marked[cell] = 1 for the cells of samples that weigh at least `least`; see the CPU's mark_cells."""
+    count = tl.load(total)
+    for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
+        k = block * BLOCK + tl.arange(0, BLOCK)
+        inside = k < count
+        heavy = tl.load(weights + k, mask=inside, other=0.0) >= least
+        heavy = inside & heavy & (tl.load(deltas + k, mask=inside, other=0.0) > 0.0)
+        x, y, z = vector(points, k, heavy)
+        tl.store(marked + cell_number(x, y, z, cells), 1, mask=heavy)
+
+
 @triton.jit(do_not_specialize=["cells", "rays"])
 def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOCK: tl.constexpr):
     """out[r] = (sum w, sum over marked cells of w, of w t, of w x): [rays, 6], zero for a ray without samples."""

@@ -13,10 +13,13 @@ from stylerf.fields.marching import ScratchArena
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.ray_samples import Rays
+from stylerf.kernels.cpu.regions import mark_cells
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, background_of, over, target, unhidden
+from stylerf.training.fit.seen_cells import SeenCells
+from stylerf.training.fit.settings import FitSettings
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Batch:
     near_scaling_distance: float
     opacity: float = 0.0
     coverage: float = 0.0
+    distortion: float = 0.0
+    least_weight: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,8 @@ class CpuEngine:
         self.gradient_clip, self.field = gradient_clip, field
         self.density_adam, self.color_adam = self._new_adam(field.density), self._new_adam(field.color)
         self._memory = ScratchArena()
+        self._seen: SeenCells | None = None
+        self._hull = field.occupancy.clear
 
     def adopt(self, field: RadianceField) -> None:
         """Train this field from now on; moments are zero, except of a part that is the same object as before."""
@@ -100,6 +107,9 @@ class CpuEngine:
             self.density_adam = self._new_adam(field.density)
         if self.color_adam.values is not field.color.values:
             self.color_adam = self._new_adam(field.color)
+        self._hull = field.occupancy.clear
+        if self._seen is not None and self._seen.cells != field.occupancy.cells:
+            self._seen = self._seen.resized(field.occupancy.cells)
 
     def _new_adam(self, part: Part) -> Adam:
         return Adam(part.values, part.groups(), self.threads, self.gradient_clip)
@@ -109,10 +119,19 @@ class CpuEngine:
         """Number of learnable values; does not wait for a GPU."""
         return self.field.parameters
 
-    def refresh(self, seed: int, share: int) -> None:
-        """Update the occupancy grid at one cell in `share`."""
+    def refresh(self, seed: int, share: int, elapsed: float = 0.0) -> None:
+        """Update the occupancy grid at one cell in `share`. elapsed: part of the budget since the last time."""
         field = self.field
+        if self._seen is not None:
+            self._seen.update(elapsed, self.group)
+            self._clear_unseen()
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, share, 0.9)
+
+    def _clear_unseen(self) -> None:
+        """Empty the cells that no training ray has seen for long."""
+        if self._seen is not None:
+            unseen = self._seen.unseen().numpy()
+            self.field.occupancy.empty(unseen if self._hull is None else unseen | self._hull)
 
     def learn(self, batch: Batch) -> StepResult:
         """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
@@ -124,6 +143,8 @@ class CpuEngine:
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
         totals = np.zeros(2)  # squared error, samples
+        if batch.least_weight > 0 and self._seen is None:
+            self._seen = SeenCells(self.field.occupancy.cells)
         for some in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[some], directions[some], near, jitter[some])
             totals += self._learn_part(batch, rays, colors[some], background[some])
@@ -159,7 +180,14 @@ class CpuEngine:
         if batch.coverage > 0:
             gradients[:, 3] += coverage_gradient(out[:, 3], colors[:, 3], batch.coverage, count)
         to = self.density_adam.gradients, self.color_adam.gradients
-        backward(self.field, rendered, gradients, *to, near_scaling_distance=batch.near_scaling_distance)
+        distortion = batch.distortion / count
+        backward(
+            self.field, rendered, gradients, *to,
+            near_scaling_distance=batch.near_scaling_distance, distortion=distortion,
+        )  # fmt: skip
+        if self._seen is not None:
+            marked = self._seen.marked.numpy()
+            mark_cells(rendered.samples, self._seen.cells, np.float32(batch.least_weight), self.threads, marked)
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
@@ -193,16 +221,17 @@ class CpuEngine:
 
     def moments(self) -> dict[str, np.ndarray]:
         """The optimizers' moments, by name."""
-        return moments_of({"density": self.density_adam, "color": self.color_adam})
+        moments = moments_of({"density": self.density_adam, "color": self.color_adam})
+        return moments if self._seen is None else moments | self._seen.arrays()
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
+        self._seen = SeenCells.restore(arrays)
+        self._clear_unseen()
 
-    def warm_up(
-        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
-    ) -> None:
-        """Compile every kernel that a step uses, on these scratch fields."""
+    def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:
+        """Compile every kernel that a step with these settings uses, on these scratch fields."""
         origins, directions, _, _ = self.dataset.draw(16, np.random.default_rng(0))
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:
@@ -211,8 +240,13 @@ class CpuEngine:
             parts = field.density, field.color
             adams = [Adam(part.values, part.groups(), self.threads) for part in parts]
             to = adams[0].gradients, adams[1].gradients
-            backward(field, rendered, np.ones_like(rendered.out), *to, near_scaling_distance=near_scaling_distance)
-            for part, adam, weight in zip(parts, adams, smoothness):
+            backward(
+                field, rendered, np.ones_like(rendered.out), *to,
+                near_scaling_distance=settings.near_scaling_distance, distortion=settings.distortion,
+            )  # fmt: skip
+            if settings.least_weight > 0:
+                mark_cells(rendered.samples, 8, np.float32(1), self.threads, np.zeros(512, np.uint8))
+            for part, adam, weight in zip(parts, adams, settings.smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients[0])
                 adam.step(1e-3)

@@ -23,6 +23,8 @@ from stylerf.training.common.process_group import ALONE, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.fit.engine import Batch, StepResult, parts_of
+from stylerf.training.fit.seen_cells import SeenCells
+from stylerf.training.fit.settings import FitSettings
 
 ROOM = 4  # times the intended samples of a batch; rays beyond that are left out of the step
 LEAST_ROOM = 1 << 18
@@ -88,12 +90,14 @@ class GpuEngine:
         self._copy(field)
         self.density_adam = GpuAdam.of(self.device_field.density, gradient_clip)
         self.color_adam = GpuAdam.of(self.device_field.color, gradient_clip)
+        self._seen: SeenCells | None = None
 
     def _copy(self, field: RadianceField) -> None:
         """Copy a field to the device; what is still on its way back is of the one before."""
         self._host, self._stale = field, False
         self._parts = field.density, field.color  # the field itself may get others before it is adopted again
         self.device_field = GpuField(field, self.device)
+        self._hull = self.device_field.clear
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
 
     def adopt(self, field: RadianceField) -> None:
@@ -101,6 +105,8 @@ class GpuEngine:
         self._copy(field)
         self.density_adam = self._adam_of(self.device_field.density, self.density_adam, density is field.density)
         self.color_adam = self._adam_of(self.device_field.color, self.color_adam, color is field.color)
+        if self._seen is not None and self._seen.cells != field.occupancy.cells:
+            self._seen = self._seen.resized(field.occupancy.cells)
 
     def _adam_of(self, part: GpuPart, before: GpuAdam, kept: bool) -> GpuAdam:
         """An optimizer of a part's new tensors; if the part was kept, with the moments of `before`."""
@@ -121,12 +127,22 @@ class GpuEngine:
     def parameters(self) -> int:
         return self._host.parameters
 
-    def refresh(self, seed: int, share: int) -> None:
+    def refresh(self, seed: int, share: int, elapsed: float = 0.0) -> None:
         with out_of_memory():
+            if self._seen is not None:
+                self._seen.update(elapsed, self.group)
+                self._clear_unseen()
             refresh(self.device_field, seed, share, 0.9)
         self._stale = True
 
+    def _clear_unseen(self) -> None:
+        if self._seen is not None:
+            unseen = self._seen.unseen()
+            self.device_field.clear = unseen if self._hull is None else unseen | self._hull
+
     def learn(self, batch: Batch) -> StepResult:
+        if batch.least_weight > 0 and self._seen is None:
+            self._seen = SeenCells(self.device_field.cells, self.device)
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
@@ -159,7 +175,12 @@ class GpuEngine:
             if batch.coverage > 0:
                 gradients[:, 3] += coverage_gradient(rendered, drawn.wanted[:, 3], batch.coverage, batch.rays)
             to = self.density_adam.gradients, self.color_adam.gradients
-            field.backward(rendered, gradients, *to, near_scaling_distance=batch.near_scaling_distance)
+            field.backward(
+                rendered, gradients, *to,
+                near_scaling_distance=batch.near_scaling_distance, distortion=batch.distortion / batch.rays,
+            )  # fmt: skip
+            if self._seen is not None:
+                launch.mark_cells(rendered.samples, self._seen.cells, batch.least_weight, self._seen.marked)
         both = (field.density, self.density_adam), (field.color, self.color_adam)
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.group.first:
@@ -192,14 +213,15 @@ class GpuEngine:
             self._stale = True
 
     def moments(self) -> dict[str, np.ndarray]:
-        return moments_of({"density": self.density_adam, "color": self.color_adam})
+        moments = moments_of({"density": self.density_adam, "color": self.color_adam})
+        return moments if self._seen is None else moments | self._seen.arrays()
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
+        self._seen = SeenCells.restore(arrays, self.device)
+        self._clear_unseen()
 
-    def warm_up(
-        self, scratch: list[RadianceField], smoothness: tuple[float, float], near_scaling_distance: float
-    ) -> None:
+    def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:
         # Kernels differ by random and fixed background (None, 1.0) and by the parts' kinds; the data do not matter.
         sums = torch.zeros(3, device=self.device)
         for host in scratch:
@@ -213,8 +235,13 @@ class GpuEngine:
                 images = rendered.out, drawn.wanted, drawn.background
                 gradients = launch.photometric_loss(*images, rendered.samples, 1.0, sums)
                 to = adams[0].gradients, adams[1].gradients
-                field.backward(rendered, gradients, *to, near_scaling_distance=near_scaling_distance)
-            for part, adam, weight in zip(parts, adams, smoothness):
+                field.backward(
+                    rendered, gradients, *to,
+                    near_scaling_distance=settings.near_scaling_distance, distortion=settings.distortion,
+                )  # fmt: skip
+                if settings.least_weight > 0:
+                    launch.mark_cells(rendered.samples, 8, 1.0, torch.zeros(512, dtype=torch.uint8, device=self.device))
+            for part, adam, weight in zip(parts, adams, settings.smoothness):
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 
 Engine: TypeAlias = "CpuEngine | GpuEngine"
 EXPOSURE_FROM = 0.1  # of the budget; before, a field is brighter or darker than its photos for other reasons
+SEEN_FROM = 0.2  # of the budget; from here on, cells that no ray sees anything in for long are emptied
+DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6  # of the budget
+OPACITY_FROM = 0.25  # of the budget
 MOST_ROLLBACKS = 4
 USABLE_FROM = 0.5  # of the budget; from here on the best field so far is worth more than an error
 
@@ -225,32 +228,38 @@ class Fitter:
         if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
             self._refreshed_at = state.step
             # All cells at first, later every fourth from a random start: densities have settled, and cells are many.
-            self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4)
+            elapsed, state.refreshed_at = self.progress - state.refreshed_at, self.progress
+            self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4, elapsed)
+        learned = self.engine.learn(self._batch())
+        state.step += 1
+        if learned.samples_per_ray > 0:  # else no step has finished yet
+            state.rays = _rays_for(settings.samples, learned.samples_per_ray, state.rays, self.engine.most_rays)
+        return learned.error
+
+    def _batch(self) -> Batch:
+        """The next step."""
+        settings, state = self.settings, self.state
         among = len(self.dataset.cameras)
         if self._judging:
             among -= self.held_out
         # Every SMOOTH_EVERY-th step with that many times the weight: the same pull on average (decision 0011).
         smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
-        learned = self.engine.learn(
-            Batch(
-                step=state.step,
-                rays=state.rays,
-                parts=state.parts,
-                among=among,
-                lit_share=settings.lit_share,
-                background=settings.background,
-                # Exponential decay over the budget, halved by each rollback, ramped up after a pruning.
-                rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.search.rate,
-                smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
-                near_scaling_distance=settings.near_scaling_distance,
-                coverage=settings.coverage if self.dataset.channels == 4 else 0.0,
-                opacity=settings.opacity * max(0.0, (self.progress - 0.25) / 0.75),
-            )
+        return Batch(
+            step=state.step,
+            rays=state.rays,
+            parts=state.parts,
+            among=among,
+            lit_share=settings.lit_share,
+            background=settings.background,
+            # Exponential decay over the budget, halved by each rollback, ramped up after a pruning.
+            rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.search.rate,
+            smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
+            near_scaling_distance=settings.near_scaling_distance,
+            opacity=settings.opacity * _rise(self.progress, OPACITY_FROM, 1.0),
+            coverage=settings.coverage if self.dataset.channels == 4 else 0.0,
+            distortion=settings.distortion * _rise(self.progress, DISTORTION_FROM, DISTORTION_FULL),
+            least_weight=settings.least_weight if self.progress >= SEEN_FROM else 0.0,
         )
-        state.step += 1
-        if learned.samples_per_ray > 0:  # else no step has finished yet
-            state.rays = _rays_for(settings.samples, learned.samples_per_ray, state.rays, self.engine.most_rays)
-        return learned.error
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -299,7 +308,7 @@ class Fitter:
             parts = first_parts(settings.kinds, capacity, generator)
             scratch.append(RadianceField(self.space, *parts, OccupancyGrid(8), 1 / 8))
         self._warm |= kinds
-        self.engine.warm_up(scratch, settings.smoothness, settings.near_scaling_distance)
+        self.engine.warm_up(scratch, settings)
 
     def _halve_parts(self) -> None:
         self.state.parts *= 2
@@ -461,6 +470,11 @@ def _rays_for(samples: int, samples_per_ray: float, before: int, most: int) -> i
     # The count per ray falls as empty space is found; smoothed, so that one odd batch does not swing the next.
     wanted = samples / max(samples_per_ray, 1.0)
     return int(np.clip(0.8 * before + 0.2 * wanted, 256, most))
+
+
+def _rise(progress: float, begin: float, end: float) -> float:
+    """0 before `begin`, 1 after `end`, linear between."""
+    return min(1.0, max(0.0, (progress - begin) / (end - begin)))
 
 
 def _refresh_every(step: int) -> int:

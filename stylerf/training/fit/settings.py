@@ -77,6 +77,9 @@ FULL = CapacityLevel(256, 8, table_bits=18)
 # A contraction spends half of each axis on the center, where a finer density still helps.
 BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
 
+# Cells per side of a capture's occupancy grid, from levels of this resolution on.
+CAPTURE_CELLS, FINER_FROM = 128, 192
+
 
 def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
     """The levels that a fit tries. space: kind of its warp. pixels: longest side of the photos."""
@@ -88,6 +91,13 @@ def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ..
         return (*LEVELS[:3], replace(FULL, density_rank=16), BEYOND)
     lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LEVELS[-1].color_resolution)
     return LEVELS if lean else (*LEVELS[:3], FULL)
+
+
+def cells_for(levels: tuple[CapacityLevel, ...], space: str) -> tuple[CapacityLevel, ...]:
+    """Levels of a capture with finer occupancy from FINER_FROM on: rays through it skip more (decision 0047)."""
+    if space == "box":
+        return levels
+    return tuple(replace(level, cells=CAPTURE_CELLS if level.resolution >= FINER_FROM else 64) for level in levels)
 
 
 def capacity_at(
@@ -169,6 +179,11 @@ class FitSettings:
         visual_hull: Fraction of the training views that must show a cell of a box as empty, by their alpha, to exclude
             it (visual_hull.clear_cells; 0: exclude none).
         coverage: Weight of the squared error of alpha beside that of the colors, for cut-out photos.
+        distortion: Final weight of the rays' distortion (kernels/cpu/compositing.distortion_backward), which gathers a
+            ray's weight at one depth. It rises from 0 between DISTORTION_FROM and DISTORTION_FULL of the budget, once
+            colors have formed.
+        least_weight: Weight that a sample of a training ray needs for its cell to stay; cells without any for long are
+            emptied (seen_cells.py; 0: none are).
         exposure: on, off, or auto: bring photos to one exposure if they clearly differ (exposure.py).
     """
 
@@ -193,6 +208,8 @@ class FitSettings:
     opacity: float = 0.0
     visual_hull: float = 0.0
     coverage: float = 0.0
+    distortion: float = 0.0
+    least_weight: float = 0.0
     exposure: str = "off"
 
 
@@ -249,6 +266,7 @@ class FitState:
     ended_at: float | None = None  # fraction of the budget after which no rollbacks were left
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
+    refreshed_at: float = 0.0  # progress at which cells that rays see were last looked at
     stops: list[float] | None = None  # overexposure of the photos; empty: all alike; None: not judged
 
     def as_json(self) -> dict[str, Any]:

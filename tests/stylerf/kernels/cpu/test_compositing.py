@@ -79,6 +79,24 @@ def test_pixels_and_gradients_equal_the_oracle(threads):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
+def test_gradients_of_the_distortion_equal_those_of_its_double_sum(threads):
+    starts, ends, at, deltas, sigma, t, colors = samples()
+    s, _, w, _ = reference(at, deltas, sigma, t, colors)
+    weights = np.full(len(sigma), np.nan, np.float32)
+    weights[at] = w.detach()
+    strength, middle = 0.3, 2.5
+    depth = float64(t[at]) / (float64(t[at]) + middle)
+    pairs = w[:, None] * w[None] * (depth[:, None] - depth[None]).abs()
+    (strength * pairs[RAYS[:, None] == RAYS[None]].sum()).backward()
+    to = np.zeros_like(sigma)
+    packed = packed_samples(starts, ends, t, deltas, sigma, weights)
+    for _ in range(2):  # it adds
+        kernels.distortion_backward(packed, np.float32(strength), np.float32(middle), threads, to)
+    close(to[at], 2 * s.grad, 1e-5)
+    assert (s.grad != 0).any() and to[ends[6] - 1] == 0  # the background's density is fixed
+
+
+@pytest.mark.parametrize("threads", [1, 3])
 def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(threads):
     starts, ends, at, deltas, sigma, t, colors = samples()
     weights = np.full(len(sigma), np.nan, np.float32)

@@ -20,6 +20,7 @@ from tests.stylerf.small import (
     field_of,
     float64,
     hash_color,
+    hash_density,
     oracle_color,
     oracle_density,
     rays_into,
@@ -63,10 +64,11 @@ def padded(array: np.ndarray, device) -> torch.Tensor:
     return torch.from_numpy(np.concatenate([array, more])).to(device)
 
 
-def test_the_densitys_slopes_equal_the_oracles(device):
-    from stylerf.fields.gpu.parts import GpuVmDensity
+@pytest.mark.parametrize("kind", ["vm", "hash"])
+def test_the_densitys_slopes_equal_the_oracles(kind, device):
+    from stylerf.fields.gpu.parts import DENSITY_KINDS
 
-    made, x = density(3), positions()
+    made, x = density(3) if kind == "vm" else hash_density(3), positions()
     exact = float64(x).requires_grad_()
     sigma = oracle_density(made, float64(made.values), exact)
     gradients = np.random.default_rng(2).normal(size=COUNT).astype(np.float32)
@@ -74,7 +76,7 @@ def test_the_densitys_slopes_equal_the_oracles(device):
     (sigma * float64(gradients)).sum().backward()
     samples = loose(device, x, sigma.detach().float().numpy())
     out = torch.full((ROOM, 3), 0.25, device=device)
-    GpuVmDensity(made, device).add_position_gradients(samples, padded(gradients, device), out)
+    DENSITY_KINDS[kind](made, device).add_position_gradients(samples, padded(gradients, device), out)
     close(out[:COUNT].cpu() - 0.25, exact.grad, 2e-5)
     assert bool((out[COUNT:] == 0.25).all()) and bool((out[[3, 9]] == 0.25).all())
 

@@ -78,8 +78,8 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     field = FIELDS[kinds]()
     engine = engine_on(device, bank, field)
     found = kept_gradients(engine)
-    opacity, coverage = (0.3, 0.2) if kinds == "vm" else (0.0, 0.0)
-    engine.learn(batch(opacity=opacity, coverage=coverage))
+    opacity, coverage, distortion = (0.3, 0.2, 0.1) if kinds == "vm" else (0.0, 0.0, 0.0)
+    engine.learn(batch(opacity=opacity, coverage=coverage, distortion=distortion))
     learned = engine._reports.settle()
     drawn = engine.dataset.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
     host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
@@ -91,7 +91,7 @@ def test_a_step_learns_the_gradient_that_the_cpu_finds_for_the_same_rays(kinds, 
     gradients[:, 3] = -gradients[:, :3].sum(1) + opacity_gradient(out[:, 3], opacity, 24)
     gradients[:, 3] += coverage_gradient(out[:, 3], rgba[:, 3], coverage, 24)
     to = [np.zeros((1, len(part.values)), np.float32) for part in (field.density, field.color)]
-    backward(field, rendered, gradients, *to)
+    backward(field, rendered, gradients, *to, distortion=distortion / 24)
     for ours, expected in zip(found, to):
         np.testing.assert_allclose(ours, expected[0], atol=3e-5 * np.abs(expected).max())
     assert learned.error == pytest.approx(float(np.square(difference).mean()), rel=1e-4)
@@ -128,6 +128,31 @@ def test_what_a_loop_looks_at_again_is_in_time_every_cell_but_clear_ones(bank, d
     seen = engine.device_field.highest.cpu().numpy() < 2e3
     assert seen.all()
     assert not engine.device_field.highest.cpu().numpy()[field.occupancy.clear].any()
+
+
+def test_what_no_ray_sees_is_emptied_as_on_the_cpu(bank, device):
+    from stylerf.kernels.cpu.regions import mark_cells
+    from stylerf.training.fit.seen_cells import PATIENCE
+
+    engine, field = engine_on(device, bank, thin_field()), thin_field()
+    engine.refresh(0, 1)
+    engine.learn(batch(least_weight=0.05))
+    drawn = engine.dataset.draw((0 * 1_000_003 + 3) & 0x7FFFFFFF, 0, 24, 24, 3, 0.5, 1.0)
+    host = [t.cpu().numpy() for t in (drawn.rays.origins, drawn.rays.directions, drawn.rays.jitter)]
+    expected = np.zeros(field.occupancy.cells**3, np.uint8)
+    rendered = render_rays(field, Rays.of(host[0], host[1], 0.0, host[2]), threads=1)
+    mark_cells(rendered.samples, field.occupancy.cells, np.float32(0.05), 1, expected)
+    found = engine._seen.marked.cpu().numpy().copy()
+    assert (found != expected).sum() <= 1 and 0 < expected.sum() < len(expected)  # one may lie at a border
+    occupied = (engine.field.occupancy.distances == 0).sum()
+    engine.refresh(1, 1, PATIENCE)
+    arrays = {k: v.copy() for k, v in engine.moments().items()}
+    kept = engine.field.occupancy.distances == 0
+    assert kept.sum() < occupied and kept[found > 0].all() and not engine.device_field.highest.cpu()[~kept].any()
+    again = engine_on(device, bank, engine.field)
+    again.restore_moments(arrays)
+    again.refresh(2, 1)
+    assert np.array_equal(again.field.occupancy.distances == 0, kept)
 
 
 def test_moments_stay_with_a_part_that_does(bank, device):

@@ -1,0 +1,67 @@
+"""Cells of the occupancy grid that training rays see something in, and those that they have not for long.
+
+Density that no training ray gives weight to explains no photo: it lies inside and behind surfaces, or was left in front
+of them when the surfaces formed. Marching through it takes time, and new views see it as haze.
+"""
+
+from typing import Self
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from stylerf.training.common.process_group import ALONE, ProcessGroup
+
+PATIENCE = 0.15  # of the budget; a cell that is not seen for so long is empty
+
+
+class SeenCells:
+    """For how long no training ray has seen something in each cell.
+
+    Attributes:
+        cells: Resolution of the grid per axis.
+        marked: [cells^3] uint8, on `device`; 1 where a ray has seen something since the last update.
+        ages: [cells^3] float32, fraction of the budget since a ray last did.
+    """
+
+    def __init__(self, cells: int, device: torch.device | str = "cpu") -> None:
+        self.cells = cells
+        self.marked = torch.zeros(cells**3, dtype=torch.uint8, device=device)
+        self.ages = torch.zeros(cells**3, device=device)
+
+    @classmethod
+    def restore(cls, arrays: dict[str, np.ndarray], device: torch.device | str = "cpu") -> Self | None:
+        """From arrays(); None if there were none."""
+        if "seen.ages" not in arrays:
+            return None
+        made = cls(round(len(arrays["seen.ages"]) ** (1 / 3)), device)
+        made.ages.copy_(torch.from_numpy(arrays["seen.ages"]))
+        made.marked.copy_(torch.from_numpy(arrays["seen.marked"]))
+        return made
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays of a checkpoint."""
+        return {"seen.ages": self.ages.cpu().numpy(), "seen.marked": self.marked.cpu().numpy()}
+
+    def resized(self, cells: int) -> "SeenCells":
+        """The same at another resolution, a whole multiple of this one."""
+        made = SeenCells(cells, self.ages.device)
+        for old, new in ((self.ages, made.ages), (self.marked, made.marked)):
+            grid = old.to(torch.float32).view(1, 1, self.cells, self.cells, self.cells)
+            new.copy_(F.interpolate(grid, size=(cells,) * 3, mode="nearest").reshape(-1))
+        return made
+
+    def update(self, elapsed: float, group: ProcessGroup = ALONE) -> None:
+        """Let `elapsed`, a fraction of the budget, pass for cells that no process has marked since the last update."""
+        group.add(self.marked)
+        self.ages += elapsed
+        self.ages[self.marked > 0] = 0
+        self.marked.zero_()
+
+    def unseen(self) -> torch.Tensor:
+        """Cells [cells^3] bool that were not seen lately and touch none that was: surfaces may still move a little."""
+        lately = (self.ages < PATIENCE).to(torch.float32).view(1, 1, self.cells, self.cells, self.cells)
+        for axis in range(3):  # a cube's maximum, axis by axis
+            size = [3 if a == axis else 1 for a in range(3)]
+            lately = F.max_pool3d(lately, size, 1, [s // 2 for s in size])
+        return lately.reshape(-1) == 0
