@@ -20,10 +20,11 @@ from benchmarks.conditions import here_and_now
 from benchmarks.fits import stylerf
 
 KINDS = {
-    "vm": (),
+    "vm": ("--field", "vm"),
     "hash": ("--field", "hash"),
     "voxel": ("--field", "voxel"),
     "vm+hash": ("--field", "vm+hash"),
+    "hash+vm": ("--field", "hash+vm"),
     "hash, small network": ("--field", "hash", "--head", "mlp"),
 }
 PASSES = 5

@@ -247,8 +247,8 @@ def captures() -> str:
         return ""
     report = result("captures.json")
     lines = [
-        "| scene | ablation | held-out PSNR | SSIM | samples a ray over 0.01 | occupied cells | pixels nearer than a third "
-        "of the median depth |",
+        "| scene | ablation | held-out PSNR | SSIM | samples a ray over 0.01 | occupied cells "
+        "| pixels nearer than a third of the median depth |",
         "|---|---|---|---|---|---|---|",
     ]
     for row in report["rows"]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from stages.configs import advanced, option
 
 FIELD_KINDS = ("vm", "hash", "voxel")
-# The others by layout. Objects are solids with few layers, which products of planes and lines hold in few numbers; the
-# many layers of a capture need a density that each place has to itself (docs/decisions/0047).
+# By layout: products of planes and lines cannot hold the many layers of a frustum (docs/decisions/0048).
 FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
+# By layout, against haze (docs/decisions/0047).
 DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
 LEAST_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
 # By layout, whenever density is trained (docs/decisions/0011).

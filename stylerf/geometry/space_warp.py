@@ -134,7 +134,7 @@ class SpaceWarp:
 
     @property
     def middle(self) -> float:
-        """Distance that is as far from a camera as from infinity, scene units: half of the cube's depth or less."""
+        """Depth, scene units, in the middle between a camera and infinity where depth counts as t / (t + middle)."""
         return self.parameters[2] if self.kind == "frustum" else 1.0
 
     def describe(self) -> dict[str, Any]:

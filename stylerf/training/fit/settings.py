@@ -266,7 +266,7 @@ class FitState:
     ended_at: float | None = None  # fraction of the budget after which no rollbacks were left
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
-    refreshed_at: float = 0.0  # progress at which cells that rays see were last looked at
+    refreshed_at: float = 0.0  # progress at the last update of the occupancy grid
     stops: list[float] | None = None  # overexposure of the photos; empty: all alike; None: not judged
 
     def as_json(self) -> dict[str, Any]:
