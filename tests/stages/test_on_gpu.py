@@ -23,7 +23,7 @@ from stylerf.training.common.process_group import ProcessGroup
 from stylerf.training.deform import deformer, fitter
 from stylerf.training.deform.deformer_gpu import GpuDeformer
 from tests.stages.evaluation_fixture import camera_entry, commit
-from tests.stylerf.small import field_of, hash_density, vm_color
+from tests.stylerf.small import field_of, hash_density, vm_color, voxel_density
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
@@ -99,19 +99,19 @@ def test_a_deformation_is_learned_on_the_device_and_kept_as_on_the_cpu(few_rays,
     assert np.array_equal(*(field.occupancy.distances for field in fields))
 
 
-@pytest.mark.parametrize("kind", ["vm", "hash"])
+@pytest.mark.parametrize("kind", ["vm", "hash", "voxel"])
 def test_deforming_stylization_uses_the_gpu_where_kernels_allow(kind, monkeypatch, tmp_path):
     inputs = inputs_in(WorkFolder(tmp_path / "work"))
     scene, (field, _) = load_scene(inputs["scene"]), load_field(inputs["field"])
-    if kind == "hash":
-        field.density = hash_density(1)
+    if kind != "vm":
+        field.density = {"hash": hash_density, "voxel": voxel_density}[kind](1)
     picked, said = [], Said()
     monkeypatch.setattr(stylize, "style_backend", lambda device: picked.append(device) or style_backend(None))
     config, bends = DesrfConfig(style="painting.png"), Deformation.create(np.random.default_rng(0))
     context = Context(device="cuda", progress=said)
     problem = stylize._problem(config, scene, field, 1.0, picture(8, 8, 1), bends, None, context, "cuda")
-    assert problem.deformation is bends and picked == ["cuda" if kind == "vm" else None]
-    expected = [] if kind == "vm" else ["features and matching run on the GPU, rays on the CPU"]
+    assert problem.deformation is bends and picked == [None if kind == "voxel" else "cuda"]
+    expected = ["features and matching run on the GPU, rays on the CPU"] if kind == "voxel" else []
     assert [line.split(":")[0] for line in said.lines] == expected
 
 
