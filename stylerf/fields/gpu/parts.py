@@ -154,7 +154,7 @@ class GpuDensity(GpuPart):
         )  # fmt: skip
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        """Add dL/dx to out [room, 3], x the samples' positions in the cube; only of kinds that `moves` tells."""
+        """Add dL/dx to out [room, 3], x the samples' positions in the cube; only for kinds with `moves`."""
         s = samples
         over_samples(
             deformation.density_position_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total,

@@ -73,7 +73,7 @@ def ends_inside(marked, cells, points, t, threads, out):
 def mark_cells(samples, cells, least, threads, marked):
     """Set marked[cell] = 1 for the cells of samples that weigh at least `least`; marked: [cells^3] uint8.
 
-    The opaque background (delta 0) lies in no cell. Threads may mark the same cell: they all write 1.
+    The opaque background (delta 0) is in no cell. Threads may mark the same cell: they all write 1.
     """
     starts, ends, x, weights, deltas = samples.starts, samples.ends, samples.x, samples.weights, samples.deltas
     n = len(ends)

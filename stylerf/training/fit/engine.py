@@ -227,7 +227,7 @@ class CpuEngine:
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
-        self._seen = SeenCells.restore(arrays)
+        self._seen = SeenCells.restore(arrays, self.field.occupancy.cells)
         self._clear_unseen()
 
     def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:

@@ -218,7 +218,7 @@ class GpuEngine:
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
-        self._seen = SeenCells.restore(arrays, self.device)
+        self._seen = SeenCells.restore(arrays, self.device_field.cells, self.device)
         self._clear_unseen()
 
     def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:

@@ -1,7 +1,7 @@
 """Cells of the occupancy grid that training rays see something in, and those that they have not for long.
 
-Density that no training ray gives weight to explains no photo: it lies inside and behind surfaces, or was left in front
-of them when the surfaces formed. Marching through it takes time, and new views see it as haze.
+Density that no training ray gives weight to explains no photo: it is inside or behind surfaces, or was left in front of
+them when they formed. Marching through it takes time, and new views see it as haze.
 """
 
 from typing import Self
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from stylerf import validation
 from stylerf.training.common.process_group import ALONE, ProcessGroup
 
 PATIENCE = 0.15  # of the budget; a cell that is not seen for so long is empty
@@ -30,13 +31,13 @@ class SeenCells:
         self.ages = torch.zeros(cells**3, device=device)
 
     @classmethod
-    def restore(cls, arrays: dict[str, np.ndarray], device: torch.device | str = "cpu") -> Self | None:
-        """From arrays(); None if there were none."""
+    def restore(cls, arrays: dict[str, np.ndarray], cells: int, device: torch.device | str = "cpu") -> Self | None:
+        """From arrays() of `cells` per axis; None if there were none. Raises InvalidValue for wrong arrays."""
         if "seen.ages" not in arrays:
             return None
-        made = cls(round(len(arrays["seen.ages"]) ** (1 / 3)), device)
-        made.ages.copy_(torch.from_numpy(arrays["seen.ages"]))
-        made.marked.copy_(torch.from_numpy(arrays["seen.marked"]))
+        made = cls(cells, device)
+        made.ages.copy_(torch.from_numpy(validation.array(arrays, "seen.ages", np.float32, (cells**3,))))
+        made.marked.copy_(torch.from_numpy(validation.array(arrays, "seen.marked", np.uint8, (cells**3,))))
         return made
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -53,9 +54,10 @@ class SeenCells:
 
     def update(self, elapsed: float, group: ProcessGroup = ALONE) -> None:
         """Let `elapsed`, a fraction of the budget, pass for cells that no process has marked since the last update."""
-        group.add(self.marked)
+        marks = self.marked.to(torch.int32)  # uint8 would overflow in the sum over 256 processes
+        group.add(marks)
         self.ages += elapsed
-        self.ages[self.marked > 0] = 0
+        self.ages[marks > 0] = 0
         self.marked.zero_()
 
     def unseen(self) -> torch.Tensor:

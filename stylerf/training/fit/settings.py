@@ -97,7 +97,7 @@ def cells_for(levels: tuple[CapacityLevel, ...], space: str) -> tuple[CapacityLe
     """Levels of a capture with finer occupancy from FINER_FROM on: rays through it skip more (decision 0047)."""
     if space == "box":
         return levels
-    return tuple(replace(level, cells=CAPTURE_CELLS if level.resolution >= FINER_FROM else 64) for level in levels)
+    return tuple(replace(level, cells=CAPTURE_CELLS) if level.resolution >= FINER_FROM else level for level in levels)
 
 
 def capacity_at(

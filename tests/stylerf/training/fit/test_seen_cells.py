@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.ray_samples import Samples
 from stylerf.kernels.cpu.regions import mark_cells
 from stylerf.training.fit.fitter import Fitter
@@ -47,9 +48,14 @@ def test_what_is_not_seen_for_long_is_empty_but_not_what_touches_a_seen_cell():
     assert not seen.marked.any()
     finer = seen.resized(12)
     assert finer.unseen().view(12, 12, 12)[3:, 3:, 3:].all() and not finer.unseen().view(12, 12, 12)[:3, :3, :3].any()
-    again = SeenCells.restore({k: v.copy() for k, v in finer.arrays().items()})
+    arrays = {k: v.copy() for k, v in finer.arrays().items()}
+    again = SeenCells.restore(arrays, 12)
     assert again.cells == 12 and torch.equal(again.unseen(), finer.unseen())
-    assert SeenCells.restore({}) is None
+    assert SeenCells.restore({}, 12) is None
+    arrays["seen.ages"][3] = np.nan
+    for wrong, cells in ((arrays, 12), (finer.arrays(), 8), ({"seen.ages": finer.arrays()["seen.ages"]}, 12)):
+        with pytest.raises(InvalidValue, match="seen"):
+            SeenCells.restore(wrong, cells)
 
 
 def wall_fitter(steps: int, **more) -> Fitter:
