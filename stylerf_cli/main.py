@@ -17,6 +17,7 @@ from typing import Any
 from schemas.errors import UsageError
 from schemas.native_output import native_output_restored
 from stages.pipeline.distributed import leave_fault, prints
+from stylerf.environment.performance import keep_freed_pages, wait_passively
 from stylerf_cli.arguments import Parser, add_common, add_config, nearest
 from stylerf_cli.exit_codes import code_and_line
 from stylerf_cli.output import (
@@ -43,6 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     # numpy warns where numbers of a damaged file overflow; whatever is read is checked to be finite and says so itself.
     warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy|stages|stylerf|schemas")
     _name_the_nameless()
+    wait_passively()
+    keep_freed_pages()
     argv = list(sys.argv[1:] if argv is None else argv)
     as_json = "--json" in argv
     state: dict[str, Path | None] = {"work": None}

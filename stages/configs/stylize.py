@@ -39,6 +39,12 @@ class StylizeConfig:
         help="weight of the squared color difference from the photos (-1: 10; 1 where desrf deforms an object; "
         "refnpr: 5)",
     )
+    match_by: str = option(
+        "transport",
+        choices=("transport", "nearest"),
+        help="match each feature by optimal transport, which uses more of the style image, or with its nearest (NNFM)",
+    )
+    diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
     style_scale: float = option(1.5, help="size of the style image relative to the view: larger gives larger strokes")
     match: str = option(
         "auto",

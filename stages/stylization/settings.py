@@ -37,7 +37,7 @@ DEFORMED_OBJECT = DEFAULT | {"color_weight": 1.0, "displacement_weight": 0.0, "c
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 REFERENCE = DEFAULT | {"content_weight": 0.1, "color_weight": 5.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
-LAYERS_OF = {"nnfm": "conv3", "gram": "conv2,conv3,conv4"}
+LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1,conv4_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
@@ -87,10 +87,11 @@ def strategy_of(config: ArfConfig, long_side: int) -> str:
 
 
 def image_loss(config: StylizeConfig) -> str:
-    """nnfm or gram: how views, or images, are compared with the style image."""
-    if isinstance(config, RefNprConfig):
-        return "gram" if config.reference_by == "gram" else "nnfm"
-    return config.image_by if isinstance(config, SnerfConfig) else "nnfm"
+    """nnfm, transport or gram: how views, or images, are compared with the style image."""
+    by_gram = isinstance(config, RefNprConfig) and config.reference_by == "gram"
+    if by_gram or (isinstance(config, SnerfConfig) and config.image_by == "gram"):
+        return "gram"
+    return "nnfm" if config.match_by == "nearest" else "transport"
 
 
 def image_layers(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:

@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stylerf.errors import InvalidValue
+from stylerf.style.cpu_convolution import FrozenConvolution, convolve_relu, frozen, max_pool_of_relu, winograd_available
 
 BLOCKS = {1: 2, 2: 2, 3: 3, 4: 3, 5: 3}  # convolutions in each block of VGG-16; VGG-19 agrees up to conv3_3
 LAYERS = tuple(f"conv{block}_{i}" for block, count in BLOCKS.items() for i in range(1, count + 1))
@@ -92,6 +93,7 @@ class FeatureExtractor(nn.Module):
             weight = state[f"{layer}.weight"].detach().float().contiguous(memory_format=torch.channels_last)
             self.register_buffer(f"{layer}_weight", weight)
             self.register_buffer(f"{layer}_bias", state[f"{layer}.bias"].detach().float().clone())
+        self._convolutions: dict[str, FrozenConvolution] = {}
         blur = torch.tensor(BLUR_KERNEL)
         self.register_buffer("blur", torch.outer(blur, blur) / blur.sum() ** 2)
 
@@ -118,6 +120,8 @@ class FeatureExtractor(nn.Module):
                 f"found {image.shape[3]}x{image.shape[2]}"
             )
         hidden = image * self.input_scale + self.input_shift
+        if self._by_winograd(image):
+            return self._forward_by_winograd(hidden)
         hidden = hidden.contiguous(memory_format=torch.channels_last)
         found = []
         for layer in self.built:
@@ -128,6 +132,25 @@ class FeatureExtractor(nn.Module):
             if layer in self.layers:
                 found.append(hidden)
         return found
+
+    def _by_winograd(self, image: Tensor) -> bool:
+        plain = self.architecture.padding == "zeros" and self.architecture.pooling != "blur" and len(image) == 1
+        return plain and image.device.type == "cpu" and image.dtype == torch.float32 and winograd_available()
+
+    def _forward_by_winograd(self, hidden: Tensor) -> list[Tensor]:
+        found = []
+        for layer in self.built:
+            if layer.endswith("_1") and layer != "conv1_1":
+                hidden = max_pool_of_relu(hidden, ceil=self.architecture.pooling == "max-ceil")
+            hidden = convolve_relu(hidden, self._frozen(layer))
+            if layer in self.layers:
+                found.append(hidden)
+        return found
+
+    def _frozen(self, layer: str) -> FrozenConvolution:
+        if layer not in self._convolutions:
+            self._convolutions[layer] = frozen(self.get_buffer(f"{layer}_weight"), self.get_buffer(f"{layer}_bias"))
+        return self._convolutions[layer]
 
     def _convolve(self, hidden: Tensor, layer: str) -> Tensor:
         weight, bias = self.get_buffer(f"{layer}_weight"), self.get_buffer(f"{layer}_bias")

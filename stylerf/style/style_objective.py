@@ -14,6 +14,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor, feature_size, features, resized, style_picture
 from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
+from stylerf.style.transport import transport_targets
 
 
 def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:
@@ -100,6 +101,7 @@ def diagonal_variation(image: Tensor) -> Tensor:
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
+POSITIONS = 4096  # features of a block that transport matches at a time
 CELLS = 32  # along the longer side: the resolution at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of an image
 EVERYTHING: Window = (slice(None), slice(None))
@@ -181,6 +183,10 @@ class StyleObjective(FeatureLoss):
         seed: Of the choice of style features.
         variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
         around: Feature positions next to the object that count too.
+        diversity: How evenly transport uses the style features; see style/transport.py.
+
+    Attributes:
+        draw: Number of the step, from which positions are drawn.
     """
 
     def __init__(
@@ -196,9 +202,10 @@ class StyleObjective(FeatureLoss):
         seed: int = 0,
         variation: str = "squared",
         around: int = 0,
+        diversity: float = 0.5,
     ) -> None:
         super().__init__(extractor, weights, scale, variation)
-        self.around = around
+        self.around, self.diversity, self.draw = around, diversity, 0
         picture = style_picture(style_image, *size, scale=scale * style_scale).to(self.device)
         with torch.no_grad():
             found = by_block(extractor.layers, features(extractor, picture[None], self.half))
@@ -278,6 +285,30 @@ class GramObjective(StyleObjective):
             return feature.new_zeros(())
         apart = gram_distance(feature, self.grams[block], weights).sum() / self.grams[block].square().sum()
         return apart / len(self.grams)
+
+
+class TransportObjective(StyleObjective):
+    """StyleObjective with optimal transport instead of nearest neighbors (see style/transport.py).
+
+    In each step POSITIONS random positions of a block stand for all of them.
+    """
+
+    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
+        self.style = {block: style_rows(feature, min(most_rows, POSITIONS), seed) for block, feature in found.items()}
+
+    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
+        rows, flat = rows_of(feature), None if weights is None else weights.flatten()
+        positions = torch.arange(len(rows)) if flat is None else torch.nonzero(flat > 0)[:, 0].cpu()
+        if len(positions) == 0:
+            return feature.new_zeros(())
+        if len(positions) > POSITIONS:
+            order = torch.randperm(len(positions), generator=torch.Generator().manual_seed(self.draw))
+            positions = positions[order[:POSITIONS]]
+        positions = positions.to(feature.device)
+        found, chosen = unit_rows(rows[positions]), None if flat is None else flat[positions]
+        targets = transport_targets(found, self.style[block].rows, self.diversity, chosen)
+        distances = 1 - (found * targets).sum(1)
+        return distances.mean() if chosen is None else (distances * chosen).sum() / chosen.sum()
 
 
 def window_of(alpha: np.ndarray, least: int = 0) -> Window:

@@ -16,14 +16,21 @@ from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageLoss
-from stylerf.style.style_objective import EVERYTHING, Content, GramObjective, StyleObjective, window_of
+from stylerf.style.style_objective import (
+    EVERYTHING,
+    Content,
+    GramObjective,
+    StyleObjective,
+    TransportObjective,
+    window_of,
+)
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.geometry import Record
 from stylerf.training.stylize.scene import CONTENT, PIXELS_AT_ONCE, StyledScene
 from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
-OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective}
+OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective, "transport": TransportObjective}
 
 
 class ViewLoss:
@@ -65,7 +72,9 @@ class ViewLoss:
             self._content = self._new_cache()  # at another scale
             size = (scene.cameras[0].height, scene.cameras[0].width)
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
-            self._objective = OBJECTIVES[s.loss](self.extractor, style_image, size, *options, self.around)
+            self._objective = OBJECTIVES[s.loss](
+                self.extractor, style_image, size, *options, self.around, s.diversity
+            )
         return self._objective
 
     def content(self, view: int) -> Content | None:
@@ -92,6 +101,7 @@ class ViewLoss:
         """The loss of a view's image."""
         objective, content = self.objective, self.content(view)
         coverage, window = self.coverage(view), self.windows[view]
+        objective.draw = self.scene.state.step
         return lambda image: objective(image, content, coverage, window)
 
 

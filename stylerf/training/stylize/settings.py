@@ -54,10 +54,10 @@ class ImageStyleSettings(StyleSettings):
     """What the methods with a style image share.
 
     Attributes:
-        loss: nnfm (nearest neighbor feature matching) or gram (Gram matrices).
+        loss: nnfm (nearest neighbor feature matching), transport (see style/transport.py) or gram (Gram matrices).
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
-        style_scale, style_rows, style_basis, variation: See style/style_objective.StyleObjective.
+        style_scale, style_rows, style_basis, variation, diversity: See style/style_objective.StyleObjective.
     """
 
     weights: StyleWeights = field(default_factory=StyleWeights)
@@ -68,6 +68,7 @@ class ImageStyleSettings(StyleSettings):
     style_rows: int = 4096
     style_basis: int = 96
     variation: str = "squared"
+    diversity: float = 0.5
 
     def for_style(self, strength: float) -> Self:
         return replace(self, weights=replace(self.weights, style=strength * self.weights.style))
