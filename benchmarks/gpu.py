@@ -158,7 +158,7 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
 
     field, going = GpuField(random_field(vertices, kind), device), random_rays(rays, device)
     rendered = field.render_rays(going, weight_threshold=0.0)
-    s, n, colors = rendered.samples, rendered.samples.room, rendered.colors
+    s, n, colors = rendered.samples, rendered.samples.capacity, rendered.colors
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
     of_sigma, of_colors = launch.composite_backward(s, colors, rendered.out, gradients, 0.0)
     to_density, to_color, *moments = (

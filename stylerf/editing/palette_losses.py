@@ -167,7 +167,7 @@ def weight_variation(weights: np.ndarray, view: EditView) -> float:
     return float((differences * gates**2).sum() / max(len(view), 1))
 
 
-LEAST_SHARE = 0.025  # mean weight below which a color is pruned (LAENeRF, supplement 1.2)
+MIN_SHARE = 0.025  # mean weight below which a color is pruned (LAENeRF, supplement 1.2)
 SAMPLED_VIEWS = 10
 
 
@@ -178,13 +178,13 @@ def some_of(views: list[EditView]) -> list[EditView]:
     return [views[at] for at in chosen]
 
 
-def shares_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> np.ndarray:
+def shares_of(module: PaletteEvaluator, views: list[EditView], threads: int) -> np.ndarray:
     """Return the mean weight [A] of each active color, over the pixels of a view and then over sampled views."""
-    return np.asarray(np.mean([module.weights(view.x, chunks).mean(0) for view in some_of(views)], 0))
+    return np.asarray(np.mean([module.weights(view.x, threads).mean(0) for view in some_of(views)], 0))
 
 
 def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray:
-    """Choose the colors that stay active: the `most` largest of at least LEAST_SHARE, and at least one.
+    """Choose the colors that stay active: the `most` largest of at least MIN_SHARE, and at least one.
 
     Args:
         active: [colors] bool.
@@ -196,20 +196,20 @@ def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray
     """
     # Stable: equal shares keep the palette's order on every machine.
     order = np.argsort(-shares, kind="stable")
-    chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
+    chosen = [at for at in order[:most] if shares[at] >= MIN_SHARE] or [order[0]]
     out = np.zeros_like(active)
     out[np.flatnonzero(active)[chosen]] = True
     return out
 
 
-def figures_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> dict[str, Any]:
+def figures_of(module: PaletteEvaluator, views: list[EditView], threads: int) -> dict[str, Any]:
     """Return metrics on sampled views as JSON: colors, mean weights, sparsity L_sp, palette TV, and PSNR (dB)."""
     errors, pixels = 0.0, 0
     sparse: list[float] = []
     varied: list[float] = []
     shares: list[np.ndarray] = []
     for view in some_of(views):
-        mixture = module.mixture(view.x, view.directions, chunks)
+        mixture = module.mixture(view.x, view.directions, threads)
         weights = mixture.weights.numpy()
         errors += float(np.square(mixture.colors.numpy() - view.target, dtype=np.float64).sum())
         pixels += len(view)

@@ -263,8 +263,8 @@ class HashColor:
         kernels.color_backward(self.layout, self._shape, points, colors, color_gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        given = colors, color_gradients
-        kernels.color_position_gradient(self.values, self.layout, self._shape, points, *given, threads, out)
+        arguments = colors, color_gradients
+        kernels.color_position_gradient(self.values, self.layout, self._shape, points, *arguments, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].

@@ -139,9 +139,9 @@ def backward(
         displacement_gradient(field.space, rendered.rays, samples, at_positions, vertices, displacement_to)
 
 
-def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarray:
+def alpha_inside(marked: np.ndarray, samples: Samples, threads: int) -> np.ndarray:
     """Return the sum of each ray's weights over samples in marked cells [s, s, s], [rays] float32."""
     out = np.zeros(len(samples.ends), np.float32)
     flat = np.ascontiguousarray(marked).reshape(-1)
-    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), threads, out)
     return out

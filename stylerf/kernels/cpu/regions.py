@@ -70,8 +70,8 @@ def ends_inside(marked, cells, points, t, threads, out):
 
 
 @parallel_kernel
-def mark_cells(samples, cells, least, threads, marked):
-    """Set marked[cell] = 1 for the cells of samples that weigh at least `least`; marked: [cells^3] uint8.
+def mark_cells(samples, cells, min_weight, threads, marked):
+    """Set marked[cell] = 1 for the cells of samples that weigh at least `min_weight`; marked: [cells^3] uint8.
 
     The opaque background (delta 0) is in no cell. Threads may mark the same cell: they all write 1.
     """
@@ -80,7 +80,7 @@ def mark_cells(samples, cells, least, threads, marked):
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                if weights[k] >= least and deltas[k] > _ZERO:
+                if weights[k] >= min_weight and deltas[k] > _ZERO:
                     marked[cell_of(x, k, cells)] = np.uint8(1)
 
 

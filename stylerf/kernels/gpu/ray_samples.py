@@ -27,10 +27,10 @@ class GpuSamples:
     """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
 
     Attributes:
-        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
+        counts: [rays], samples that each ray wanted; its starts:ends is empty if they do not fit.
         largest: [rays], each ray's largest weight.
         total: [1] int64, number of samples.
-        ray_of: [room], each sample's ray.
+        ray_of: [capacity], each sample's ray.
     """
 
     starts: Tensor
@@ -46,7 +46,7 @@ class GpuSamples:
     ray_of: Tensor
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Number of samples that fit."""
         return len(self.t)
 

@@ -4,7 +4,7 @@ layout, RANK: not read and the rank (vm); the levels' and their floats a place (
 (voxel). s0, s1, s2: vertices per axis of vm's and voxels' grids. WIDTH: columns of a tile, a power of two.
 
 A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
-Kernels walk the packed list of samples with a stride of all programs, BLOCK at a time, so that the number of samples
+Kernels go over the packed list of samples with a stride of all programs, BLOCK at a time, so that the number of samples
 need not be known where they are launched.
 """
 

@@ -117,8 +117,8 @@ class GpuPhotoError:
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         device, field, n = self.deformer.device, self.deformer.device_field, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
-        room, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold
-        rendered = field.render_rays(rays, room=room, weight_threshold=threshold, samples_per_ray=LIMIT)
+        capacity, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold
+        rendered = field.render_rays(rays, capacity=capacity, weight_threshold=threshold, samples_per_ray=LIMIT)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)
         if field.opaque_background:

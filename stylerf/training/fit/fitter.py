@@ -22,7 +22,7 @@ from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.training.common.adam import SMOOTH_EVERY
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, background_of, over, psnr_from_mse, shown_rays, target
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine
@@ -82,7 +82,7 @@ class Fitter:
         seed: int,
         threads: int,
         on_say: Callable[[str], None] = lambda text: None,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         engine: Callable[..., Engine] = CpuEngine,
     ) -> None:
         self.space, self.dataset, self.held_out, self.settings = space, dataset, held_out, settings

@@ -47,7 +47,7 @@ def everything() -> None:
         field = field_of(SPACES[kind], 3, color, 1 / 8, displacement_grid(6) if displaced else None)
         field.density = density_of(3)
         made, rays = GpuField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
-        rendered = made.render_rays(rays, room=64)
+        rendered = made.render_rays(rays, capacity=64)
         rendered.with_surface_distance()
         to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
         sums = torch.zeros(3)
