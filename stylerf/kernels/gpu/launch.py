@@ -9,9 +9,10 @@ import torch
 import triton
 from torch import Tensor
 
+from stylerf.kernels.cpu.adam import AdamRates
 from stylerf.kernels.gpu import adam as optimizer
 from stylerf.kernels.gpu import compositing, deformation, hash_color, interpreted, march, pixel_rays, regions
-from stylerf.kernels.gpu.ray_samples import GpuMarchInputs, GpuRays, GpuSamples
+from stylerf.kernels.gpu.ray_samples import GpuAdamState, GpuMarchInputs, GpuPhotos, GpuRays, GpuSamples, RayDraw
 
 # Rays or samples per program. Marches diverge, so that few rays share a program; the interpreter pays per program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
@@ -196,34 +197,38 @@ def tuning_loss(
     return gradients
 
 
-def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
+def adam(state: GpuAdamState, rates: AdamRates, begin: int, end: int) -> None:
     """Take one step of Adam on values[begin:end]."""
-    arguments = values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end
-    over(optimizer.adam_kernel, triton.cdiv(end - begin, 8), RUNS, *arguments)
-
-
-def draw_rays(
-    bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
-) -> None:
-    """Draw random rays of a RayDatasetGpu; see pixel_rays.draw_kernel. level None: random background."""
-    n = len(origins)
+    s = state
     over(
-        pixel_rays.draw_kernel, n, POINTS, seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends,
-        bank.view_sizes, bank.views, bank.widths, bank.intrinsics, bank.poses, bank.bytes, bank.codes,
-        float(level or 0), origins, directions, wanted, jitter, background,
-        CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
+        optimizer.adam_kernel, triton.cdiv(end - begin, 8), RUNS, s.values, s.gradients, s.first, s.second, *rates,
+        begin, end,
     )  # fmt: skip
 
 
-def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def draw_rays(photos: GpuPhotos, draw: RayDraw, count: int) -> tuple[GpuRays, Tensor, Tensor]:
+    """Return `count` random rays, their straight rgba [n, 4] and background [n, 3]; see pixel_rays.draw_kernel."""
+    p, device, views = photos, photos.bytes.device, len(photos.widths)
+    origins, directions, background = (torch.empty((count, 3), device=device) for _ in range(3))
+    wanted, jitter = torch.empty((count, 4), device=device), torch.empty(count, device=device)
+    over(
+        pixel_rays.draw_kernel, count, POINTS, draw.seed, draw.first, count, draw.total, p.lit, draw.lit_total,
+        draw.lit_rays, p.view_ends, p.view_sizes, views, p.widths, p.intrinsics, p.poses, p.bytes, p.codes,
+        float(draw.level or 0), origins, directions, wanted, jitter, background,
+        CHANNELS=p.channels, RANDOM_BACKGROUND=draw.level is None, STEPS=max(1, (views - 1).bit_length()),
+    )  # fmt: skip
+    return GpuRays(origins, directions, jitter), wanted, background
+
+
+def rays_of_pixels(photos: GpuPhotos, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return (origins, directions [n, 3], straight rgba [n, 4]) of pixels [n] int64, numbered across all views."""
-    n = len(chosen)
+    n, p, views = len(chosen), photos, len(photos.widths)
     origins, directions = (torch.empty((n, 3), device=chosen.device) for _ in range(2))
     wanted = torch.empty((n, 4), device=chosen.device)
     over(
-        pixel_rays.rays_kernel, n, POINTS, chosen, n, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
-        bank.intrinsics, bank.poses, bank.bytes, bank.codes, origins, directions, wanted,
-        CHANNELS=bank.channels, STEPS=max(1, (bank.views - 1).bit_length()),
+        pixel_rays.rays_kernel, n, POINTS, chosen, n, p.view_ends, p.view_sizes, views, p.widths,
+        p.intrinsics, p.poses, p.bytes, p.codes, origins, directions, wanted,
+        CHANNELS=p.channels, STEPS=max(1, (views - 1).bit_length()),
     )  # fmt: skip
     return origins, directions, wanted
 

@@ -51,6 +51,55 @@ class GpuSamples:
         return len(self.t)
 
 
+@dataclass
+class GpuAdamState:
+    """A table and what its optimizer keeps: values, gradients and both moments [n] float32."""
+
+    values: Tensor
+    gradients: Tensor
+    first: Tensor
+    second: Tensor
+
+
+@dataclass
+class GpuPhotos:
+    """8-bit photos and their cameras on the device, all views laid end to end.
+
+    Attributes:
+        bytes: [sum of h w channels] uint8.
+        lit: [m] int32, pixels near something opaque, numbered across all views.
+        view_ends, view_sizes: [views] int64, the number after a view's last pixel, and how many it has.
+        widths: [views] int64.
+        intrinsics: [views, 4]; poses: [views, 3, 4]; codes: [views, 256]: as in kernels/cpu/photos.py.
+    """
+
+    bytes: Tensor
+    channels: int
+    lit: Tensor
+    view_ends: Tensor
+    view_sizes: Tensor
+    widths: Tensor
+    intrinsics: Tensor
+    poses: Tensor
+    codes: Tensor
+
+
+@dataclass(frozen=True)
+class RayDraw:
+    """Which rays of a random batch are drawn: from `first` on of the batch of `seed`.
+
+    The batch's first lit_rays take one of the first lit_total lit pixels, the others one of the first `total` pixels.
+    level: gray of the background; None: random colors.
+    """
+
+    seed: int
+    first: int
+    total: int
+    lit_total: int
+    lit_rays: int
+    level: float | None
+
+
 @dataclass(frozen=True)
 class GpuMarchInputs:
     """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
