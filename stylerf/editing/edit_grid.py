@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
@@ -174,4 +175,7 @@ def march_view(
     origins, directions = camera.rays()
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, min(at + rays_at_once, len(origins)))
-        yield part, field.march(Rays.of(origins[part], directions[part], field.space.near), 512, 1e-3, threads)
+        yield (
+            part,
+            field.march(Rays.of(origins[part], directions[part], field.space.near), SAMPLES_PER_RAY, 1e-3, threads),
+        )

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from stylerf.fields.deformation import displacement_gradient, position_gradients
-from stylerf.fields.marching import ScratchArena, empty_array
+from stylerf.fields.marching import SAMPLES_PER_RAY, ScratchArena, empty_array
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import (
@@ -19,8 +19,6 @@ from stylerf.kernels.cpu.compositing import (
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.regions import weights_inside, zero_outside
-
-SAMPLES_PER_RAY = 512
 
 
 @dataclass

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS, GpuPart
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField, layers_of
@@ -94,7 +95,7 @@ class GpuField:
         capacity: int | None = None,
         min_transmittance: float = 1e-3,
         weight_threshold: float = 2e-2,
-        samples_per_ray: int = 512,
+        samples_per_ray: int = SAMPLES_PER_RAY,
     ) -> GpuRendered:
         """Render rays as render_rays() in rendering/rays.py does; capacity: as march() takes it."""
         samples = self.march(rays, samples_per_ray, min_transmittance, capacity)

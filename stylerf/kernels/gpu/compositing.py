@@ -3,9 +3,10 @@
 import triton
 import triton.language as tl
 
+from stylerf.kernels.cpu import compositing
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 
-AROUND = tl.constexpr(0.05)  # as on the CPU
+SURFACE_REACH = tl.constexpr(float(compositing.SURFACE_REACH))
 
 
 @triton.jit
@@ -69,7 +70,7 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
     for i in range(0, longest):
         own = i < count
         there = tl.load(t + first + i, mask=own, other=0.0)
-        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * AROUND), other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * SURFACE_REACH), other=0.0)
         near += w
         depth += w * there
     tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=valid)

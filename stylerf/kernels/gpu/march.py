@@ -8,12 +8,11 @@ launch, so that the number of samples need not be read back.
 import triton
 import triton.language as tl
 
-from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.march import OPTICAL_SCALE, TINY
 from stylerf.kernels.gpu.indexing import SIZES, cell, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.tables import raw_density
 
-SCALE = tl.constexpr(float(OPTICAL_SCALE))
-TINY = tl.constexpr(1e-9)
+SCALE, SMALLEST = tl.constexpr(float(OPTICAL_SCALE)), tl.constexpr(float(TINY))
 MOST_TURNS = tl.constexpr(1 << 16)  # a step too small for float32 to move the ray must not hang the GPU
 
 
@@ -58,13 +57,13 @@ def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
             x, y, z = 0.5 + 0.25 * x * s, 0.5 + 0.25 * y * s, 0.5 + 0.25 * z * s
             jacobian = 0.25 * s6 * tl.where(outside, i * i, 1.0)
             speed = 0.25 * tl.maximum(tl.maximum(tl.abs(vx), tl.abs(vy)), tl.abs(vz))
-    return clamped(x), clamped(y), clamped(z), tl.maximum(speed, TINY), jacobian
+    return clamped(x), clamped(y), clamped(z), tl.maximum(speed, SMALLEST), jacobian
 
 
 @triton.jit
 def _clip_axis(o, d, low, scale, t0, t1):
     p, v = (o - low) * scale, d * scale
-    parallel = tl.abs(v) < TINY
+    parallel = tl.abs(v) < SMALLEST
     # Lanes cannot branch: parallel rays divide by 1, and the results are not used.
     i = 1.0 / tl.where(parallel, 1.0, v)
     u, w = -p * i, (1.0 - p) * i

@@ -7,13 +7,14 @@ box: float32 [4], the lowest corner of the cells' box and one over its side: whe
 import triton
 import triton.language as tl
 
+from stylerf.kernels.cpu import regions
 from stylerf.kernels.gpu.compositing import rays_of_program
 from stylerf.kernels.gpu.hash_color import lane_gradients, level_scatter, level_sum, logit
 from stylerf.kernels.gpu.indexing import offset, vector
 from stylerf.kernels.gpu.march import cell_number, clamped
 from stylerf.kernels.gpu.shading import sigmoid, to_learn
 
-MIN_ODDS = tl.constexpr(1e-4)  # odds at least, both ways: white and black can be repainted too
+MIN_ODDS = tl.constexpr(float(regions.MIN_ODDS))
 
 
 @triton.jit

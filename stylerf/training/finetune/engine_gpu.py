@@ -8,10 +8,10 @@ import torch
 
 from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.parts import GpuPart, marked_cells
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch
-from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
@@ -73,7 +73,7 @@ class GpuFineTuneEngine:
         )
         rays, wanted = self.dataset.at(chosen, jitter)
         capacity = min(len(chosen) * SAMPLES_PER_RAY, MAX_CAPACITY)
-        rendered = field.render_rays(rays, capacity=capacity, samples_per_ray=SAMPLES_PER_RAY)
+        rendered = field.render_rays(rays, capacity=capacity)
         if field.opaque_background and self.dataset.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0
