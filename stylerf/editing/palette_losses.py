@@ -18,6 +18,7 @@ from torch import Tensor
 
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import PaletteEvaluator
+from stylerf.geometry.cameras import evenly_spaced
 
 REFERENCE_PIXELS = 1e5  # pixels of a region at the resolutions for which the published weights were chosen
 
@@ -173,9 +174,7 @@ SAMPLED_VIEWS = 10
 
 def some_of(views: list[EditView]) -> list[EditView]:
     """Return up to SAMPLED_VIEWS views, evenly spaced (LAENeRF draws ten with replacement)."""
-    count = len(views)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED_VIEWS)).round().astype(int))
-    return [views[at] for at in chosen]
+    return [views[at] for at in evenly_spaced(len(views), SAMPLED_VIEWS)]
 
 
 def shares_of(module: PaletteEvaluator, views: list[EditView], threads: int) -> np.ndarray:
@@ -216,11 +215,18 @@ def figures_of(module: PaletteEvaluator, views: list[EditView], threads: int) ->
         sparse.append(sparsity(weights))
         varied.append(weight_variation(weights, view))
         shares.append(weights.mean(0))
+    return figures_json(module.palette, shares, sparse, varied, errors / (3 * pixels))
+
+
+def figures_json(
+    palette: np.ndarray, shares: list[np.ndarray], sparse: list[float], varied: list[float], error: float
+) -> dict[str, Any]:
+    """Return the metrics of a palette as JSON, from each view's mean weights, L_sp and palette TV, and the MSE."""
     return {
-        "colors": len(module.palette),
-        "palette": [[round(float(v), 4) for v in color] for color in module.palette],
+        "colors": len(palette),
+        "palette": [[round(float(v), 4) for v in color] for color in palette],
         "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
         "sparsity": round(float(np.mean(sparse)), 4),
         "palette_variation": round(float(np.mean(varied)), 5),
-        "psnr": round(-10 * math.log10(max(errors / (3 * pixels), 1e-10)), 2),
+        "psnr": round(-10 * math.log10(max(error, 1e-10)), 2),
     }

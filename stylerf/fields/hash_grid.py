@@ -206,9 +206,6 @@ class HashFeatures(TableFeatures):
         """Create features of a capacity; the degree of the color's harmonics does not change them."""
         return cls(levels_of(capacity, ROW))
 
-    def initial(self, generator: np.random.Generator) -> np.ndarray:
-        return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
-
     def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["HashFeatures", np.ndarray]:
         """Return the same features at a larger capacity, and their table."""
         new = HashFeatures(levels_of(capacity, ROW))

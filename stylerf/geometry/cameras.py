@@ -152,3 +152,8 @@ def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
     rays = point - centers
     rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
     return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Return the numbers of up to `most` of `count` views, evenly spaced from the first to the last."""
+    return [int(view) for view in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
