@@ -154,11 +154,13 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
     """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
     from benchmarks import gpu_edit
     from stylerf.fields.gpu.field import GpuField
+    from stylerf.kernels.cpu.adam import AdamRates
     from stylerf.kernels.gpu import launch
+    from stylerf.kernels.gpu.ray_samples import GpuAdamState
 
     field, going = GpuField(random_field(vertices, kind), device), random_rays(rays, device)
     rendered = field.render_rays(going, weight_threshold=0.0)
-    s, n, colors = rendered.samples, rendered.samples.room, rendered.colors
+    s, n, colors = rendered.samples, rendered.samples.capacity, rendered.colors
     gradients, sums = torch.randn_like(rendered.out), torch.zeros(3, device=device)
     of_sigma, of_colors = launch.composite_backward(s, colors, rendered.out, gradients, 0.0)
     to_density, to_color, *moments = (
@@ -170,7 +172,8 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
 
     def adam() -> None:
         to_color.fill_(1e-9)  # else every run would be skipped
-        launch.adam(field.color.values, to_color, *moments, 1e-9, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to_color))
+        state = GpuAdamState(field.color.values, to_color, *moments)
+        launch.adam(state, AdamRates(1e-9, 0.9, 0.99, 1e-15, 0.1, 0.01), 0, len(to_color))
 
     calls = {
         f"{named} color": (lambda: field.color.visible_colors(s, ways, 0.0), n * 32 + color),

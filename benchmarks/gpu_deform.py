@@ -14,7 +14,7 @@ def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colors
     from stylerf.kernels.gpu import launch
 
     s, colors, named = rendered.samples, rendered.colors, "vm" if kind == "vm" else "hash sum"
-    n, slopes, ways = s.room, torch.zeros_like(s.x), rays.directions
+    n, slopes, ways = s.capacity, torch.zeros_like(s.x), rays.directions
     grid = torch.zeros(3 * VERTICES**3, device=field.device)
     space = torch.from_numpy(field.space.packed()).to(field.device)
     calls = {

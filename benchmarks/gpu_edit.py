@@ -16,7 +16,7 @@ def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
     part = GpuRegionColor(
         RegionColor.create(base, generator.random((cells,) * 3) < 0.5, 256.0, table=1 << 15), wanted.device
     )
-    s, n, rays, ways = rendered.samples, rendered.samples.room, len(rendered.out), rendered.rays.directions
+    s, n, rays, ways = rendered.samples, rendered.samples.capacity, len(rendered.out), rendered.rays.directions
     colors, marked, table = part.visible_colors(s, ways, 0.0), part.marked, 4 * len(part.values)
     to, depth, sums = torch.zeros_like(part.values), torch.ones(rays // 2, device=wanted.device), wanted.new_zeros(5)
     of_sigma = torch.randn_like(s.sigma)

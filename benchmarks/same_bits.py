@@ -42,10 +42,22 @@ def main() -> int:
             command = ("stylize", work, "--method", "palettenerf", "--budget", "60", "--name", "palette")
             result[f"{scene} palettenerf"] = timed(work, "field", "palette", *command)
         work, view = Path(folder) / "lego", first_view(Path(folder) / "lego")
-        command = ("edit", work, "--at", f"{view}:50,50", "--recolor", "--palette", "0=#c03020", "--name", "local")
-        result["lego edit"] = timed(work, "field", "local", *command)
+        for kind, name, command in edit_commands(work, view):
+            result[f"lego {kind}"] = timed(work, kind, name, *command)
     out.write_text(json.dumps(result, indent=1) + "\n")
     return 0
+
+
+def edit_commands(work: Path, view: str) -> list[tuple[str, str, tuple]]:
+    """Kind, name and command of each artifact of a local edit, by numbers of steps: `edit` itself takes a time."""
+    steps = ("--palette-steps", "40", "--pruned-steps", "10", "--budget", "10m")
+    look = ("--region", "part", "--recolor", "--palette", "0=#c03020", *steps, "--name", "look")
+    return [
+        ("region", "part", ("select", work, "--at", f"{view}:50,50", "--name", "part")),
+        ("edit-dataset", "part", ("extract", work, "--region", "part")),
+        ("edit", "look", ("stylize", work, *look)),
+        ("field", "local", ("finetune", work, "--edit", "look", "--budget", "30", "--name", "local")),
+    ]
 
 
 def run(*arguments) -> None:

@@ -55,7 +55,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     from stages.artifacts.field import load_field
     from stages.artifacts.photos import level_of, photo_over
     from stages.artifacts.scene import load_scene
-    from stages.artifacts.style_images import read_painting
+    from stages.artifacts.style_images import read_style_image
     from stages.configs.stylize import CONFIGS
     from stages.stylization.settings import image_layers, new_color, settings_of
     from stages.weights.resolve import resolve
@@ -83,7 +83,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         settings_of(config, long_side, field.opaque_background),
         0,
         threads,
-        read_painting(Path(style)),
+        read_style_image(Path(style)),
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
     styled = StyledScene(problem, lambda generator, made: new_color(config, generator, made.pixel_cells()))

@@ -37,12 +37,12 @@ class Image:
     Attributes:
         pixels: [height, width, 1, 3 or 4] float32; 0..1 for integer formats, as stored for float formats.
         bits: Bits of each stored channel value: 8, 16 or 32.
-        light: True: linear light, premultiplied, as in EXR. False: code values with straight alpha, as in PNG.
+        linear: True: linear light, premultiplied, as in EXR. False: code values with straight alpha, as in PNG.
     """
 
     pixels: np.ndarray
     bits: int
-    light: bool = False
+    linear: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -187,12 +187,12 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
     Light above 1 is clipped.
     """
     image = read_image(path, upright)
-    if not image.light:
+    if not image.linear:
         return image
-    light, alpha = image.pixels[..., :3], image.pixels[..., 3:].clip(0, 1)
+    linear, alpha = image.pixels[..., :3], image.pixels[..., 3:].clip(0, 1)
     if image.channels == 4:
-        light = np.where(alpha > 0, light / np.maximum(alpha, np.float32(1e-6)), 0)
-    coded = srgb_from_linear(light).clip(0, 1)
+        linear = np.where(alpha > 0, linear / np.maximum(alpha, np.float32(1e-6)), 0)
+    coded = srgb_from_linear(linear).clip(0, 1)
     return Image(np.concatenate([coded, alpha], axis=2), image.bits)
 
 
@@ -338,12 +338,12 @@ def to_uint8(values: np.ndarray) -> np.ndarray:
 def linear_from_srgb(encoded: np.ndarray) -> np.ndarray:
     """Decode sRGB code values 0..1 to linear Rec.709 light (IEC 61966-2-1); negative values extend the linear part."""
     powered = ((np.maximum(encoded, 0.04045) + 0.055) / 1.055) ** 2.4
-    light: np.ndarray = np.where(encoded <= 0.04045, encoded / 12.92, powered).astype(encoded.dtype)
-    return light
+    linear: np.ndarray = np.where(encoded <= 0.04045, encoded / 12.92, powered).astype(encoded.dtype)
+    return linear
 
 
-def srgb_from_linear(light: np.ndarray) -> np.ndarray:
+def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
     """Encode linear Rec.709 light as sRGB code values, the inverse of linear_from_srgb; not clipped."""
-    powered = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
-    encoded: np.ndarray = np.where(light <= 0.0031308, light * 12.92, powered).astype(light.dtype)
+    powered = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    encoded: np.ndarray = np.where(linear <= 0.0031308, linear * 12.92, powered).astype(linear.dtype)
     return encoded

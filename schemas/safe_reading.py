@@ -13,7 +13,7 @@ from schemas.errors import ArtifactDamaged, BadInput, OutOfResources, StylerfErr
 from schemas.open_flags import NONBLOCK
 from schemas.safe_names import printable
 
-LEAST = 256 << 20  # bytes, always allowed: a photo of 22 megapixels in RGB
+MIN_ALLOWANCE = 256 << 20  # bytes, always allowed: a photo of 22 megapixels in RGB
 _DEFAULT = 4 << 30  # bytes, until set_allowance is called, as when stylerf is used as a library
 _find: Callable[[], int] | None = None
 
@@ -26,7 +26,7 @@ def set_allowance(find: Callable[[], int] | None) -> None:
 
 def allowance() -> int:
     """Return the bytes that decoding one file may allocate."""
-    return max(LEAST, _DEFAULT if _find is None else _find())
+    return max(MIN_ALLOWANCE, _DEFAULT if _find is None else _find())
 
 
 def check_allowance(path: Path, width: int, height: int, takes: int) -> None:

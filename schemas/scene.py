@@ -160,12 +160,13 @@ def _validate_view(view: View) -> None:
             f"{where}: size {view.width}x{view.height}; at most {LARGEST_SIDE} pixels a side and "
             f"{LARGEST_PICTURE / 1e6:.0f} million in total are supported"
         )
-    least, most = FOCAL_LENGTHS
+    shortest, longest = FOCAL_LENGTHS
     if not all(math.isfinite(value) for value in (view.cx, view.cy)) or max(abs(view.cx), abs(view.cy)) > LARGEST:
         raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} is nowhere near the picture")
-    if not all(least <= value <= most for value in (view.fx, view.fy)):
+    if not all(shortest <= value <= longest for value in (view.fx, view.fy)):
         raise BadInput(
-            f"{where}: focal lengths must be positive, {least:g} to {most:g} pixels, found {view.fx:g} and {view.fy:g}"
+            f"{where}: focal lengths must be positive, {shortest:g} to {longest:g} pixels, found {view.fx:g} and "
+            f"{view.fy:g}"
         )
     pose = np.array(view.world_from_camera)
     if not np.isfinite(pose).all():

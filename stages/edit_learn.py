@@ -12,7 +12,7 @@ from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import Edit, load_edit_views, save_edit
-from stages.artifacts.style_images import read_painting
+from stages.artifacts.style_images import read_style_image
 from stages.configs.edit import EditConfig
 from stages.configs.fit import budget_of
 from stages.run.devices import gpu_figures, gpu_of
@@ -117,7 +117,7 @@ def in_style_colors(views: list[EditView], style_image: torch.Tensor, seed: int)
 
 def cropped(config: EditConfig) -> torch.Tensor:
     """The style image or its crop, [3, h, w] sRGB 0..1; transparency counts as white."""
-    style_image = read_painting(Path(config.style))
+    style_image = read_style_image(Path(config.style))
     try:
         return crop_of(style_image, *config.crop) if config.crop else style_image
     except InvalidValue as error:
@@ -126,7 +126,7 @@ def cropped(config: EditConfig) -> torch.Tensor:
 
 def drawn(trainer: EditTrainer, view: EditView, threads: int) -> np.ndarray:
     """The region in one view, in the photo and by the present module, on gray, [h, 2 w, 3] uint8."""
-    found = trainer.evaluator.colors(view.x, view.directions, chunks=threads)
+    found = trainer.evaluator.colors(view.x, view.directions, threads=threads)
     pictures = []
     for colors in (view.target, found):
         picture = np.full((view.height * view.width, 3), 0.5, np.float32)

@@ -12,7 +12,7 @@ from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_
 from stages.configs.fit import (
     DISTORTION,
     FIELD,
-    LEAST_WEIGHT,
+    MIN_CELL_WEIGHT,
     NEAR_SCALING,
     SMOOTHNESS,
     FitConfig,
@@ -179,7 +179,7 @@ def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str
         opacity=config.opacity_weight if scene.layout == "object" else 0.0,
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
-        least_weight=LEAST_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
+        least_weight=MIN_CELL_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
         # An object's light differs from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),

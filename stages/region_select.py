@@ -37,7 +37,7 @@ from stylerf.editing.selection import (
     claimed,
     ends_of_rays,
     filled,
-    halved_light,
+    halved_lightness,
     inside_box,
     inside_sphere,
     modes,
@@ -68,15 +68,15 @@ class Sight:
     scene: SceneData
     field: RadianceField
     level: float
-    given_cells: int
+    fixed_cells: int
     threads: int
     say: Callable[[str], None]
 
     @cached_property
     def cells(self) -> int:
         """Cells per side: as given, or PIXELS_A_CELL pixels each."""
-        if self.given_cells:
-            return self.given_cells
+        if self.fixed_cells:
+            return self.fixed_cells
         some = self.looks[:: max(1, len(self.looks) // 3)]
         wide = float(np.median([cells_of(look.surface) * look.stride for look in some]))
         wide = wide if np.isfinite(wide) else FEWEST_CELLS
@@ -129,7 +129,7 @@ def run(inputs: dict[str, Artifact], config: SelectConfig, partial: PartialArtif
     field, background = load_field(inputs["field"])
     others = {role: load_region(artifact) for role, artifact in inputs.items() if role.partition(".")[2]}
     with compiling_note(context.progress.say):
-        cells = _given_cells(config, others)
+        cells = _fixed_cells(config, others)
         sight = Sight(scene, field, level_of(background), cells, threads, context.progress.say)
         solid = solid_cells(field, sight.cells, threads, config.solid)
         if not solid.any():
@@ -151,7 +151,7 @@ def _around(sight: Sight, edit: np.ndarray, solid: np.ndarray, config: SelectCon
     return near & sight.seen.seen if near.any() else near
 
 
-def _given_cells(config: SelectConfig, others: dict) -> int:
+def _fixed_cells(config: SelectConfig, others: dict) -> int:
     """Cells per side, as given or as in regions to combine with; 0: by pixel size."""
     sizes = {role.partition(".")[2]: region.cells for role, (region, _) in others.items()}
     if len(set(sizes.values())) > 1:
@@ -183,7 +183,7 @@ def _marked(sight: Sight, solid: np.ndarray, config: SelectConfig) -> np.ndarray
         seen = sight.seen
         if config.color:
             wanted = np.array([[int(config.color[i : i + 2], 16) / 255 for i in (1, 3, 5)]])
-            alike = seen.like(halved_light(wanted), config.tolerance)
+            alike = seen.like(halved_lightness(wanted), config.tolerance)
             edit |= padded(alike & solid, seen.seen & ~alike)
         if len(seeds.points):
             edit |= _grown(sight, solid, seen, seeds, config)
@@ -209,7 +209,7 @@ class Seeds:
         found = [seen.lab[self.marked(sight.cells) & seen.known]]
         for view in np.unique(self.views[unknown]):
             photo = photo_over(sight.scene, view, sight.level).reshape(-1, 3)
-            found.append(halved_light(photo[self.pixels[unknown & (self.views == view)]]))
+            found.append(halved_lightness(photo[self.pixels[unknown & (self.views == view)]]))
         return np.concatenate(found)
 
 

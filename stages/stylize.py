@@ -12,7 +12,7 @@ from stages.artifacts.field import load_deformation, load_field, save_deformatio
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
-from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_painting, read_references
+from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_references, read_style_image
 from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
@@ -70,11 +70,11 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-    style_image = read_painting(Path(config.style or file_of(config.references[0])[1]))
+    style_image = read_style_image(Path(config.style or file_of(config.references[0])[1]))
     device = gpu_of(context)
     try:
-        given = field, level_of(background), style_image, deformation, region
-        problem = _problem(config, scene, *given, context, device)
+        level = level_of(background)
+        problem = _problem(config, scene, field, level, style_image, deformation, region, context, device)
         method = _method(config, problem, scene, region, resolved, context, device)
     except InvalidValue as error:
         name = config.style or config.references[0]

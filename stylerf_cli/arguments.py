@@ -162,12 +162,12 @@ def _number(text: str) -> float:
 
 
 def build_config(
-    config: type, given: argparse.Namespace, table: dict[str, Any], where: str, others: Collection[type] = ()
+    config: type, flags: argparse.Namespace, table: dict[str, Any], where: str, others: Collection[type] = ()
 ) -> Any:
     """Build the config of a verb from flags and a TOML table.
 
     Args:
-        given: flags, which override the table.
+        flags: flags, which override the table.
         table: options from the file.
         where: names the table in errors.
         others: configs of the verb's other uses, whose keys are ignored.
@@ -181,14 +181,14 @@ def build_config(
     values: dict[str, Any] = {}
     for key, value in table.items():
         name = key.replace("-", "_")
-        if name in kinds and not hasattr(given, name):
+        if name in kinds and not hasattr(flags, name):
             values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
         elif name not in kinds and name not in elsewhere:
             raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
     of_file = set(values)
     for name, (item, _) in kinds.items():
-        if hasattr(given, name):
-            value = getattr(given, name)
+        if hasattr(flags, name):
+            value = getattr(flags, name)
             values[name] = tuple(value) if isinstance(value, list) else value
         elif name not in values and _required(item):
             raise UsageError(f"{flag_of(item)} is required")

@@ -13,7 +13,7 @@ REDRAW_SECONDS = 0.1
 LINE_EVERY_SECONDS = 5.0
 RATE_WINDOW_SECONDS = 15.0
 # Lowest assumed rate of a time budget: compiling does not count against it, and would inflate the time left.
-LEAST_OF_BUDGET = 0.5
+MIN_BUDGET_RATE = 0.5
 BAR_WIDTH = 24
 
 
@@ -104,8 +104,8 @@ class Bars:
         if len(self._recent) < 2:
             return 0.0
         (start, first), (end, last) = self._recent[0], self._recent[-1]
-        least = LEAST_OF_BUDGET if self._unit == "s" else 0.0
-        return max(least, (last - first) / (end - start)) if end > start else 0.0
+        lowest = MIN_BUDGET_RATE if self._unit == "s" else 0.0
+        return max(lowest, (last - first) / (end - start)) if end > start else 0.0
 
     def _draw(self, line: str) -> None:
         try:

@@ -34,15 +34,15 @@ class Common:
 class Options:
     """The options of the verb that is run, and of its prerequisites (see stages.pipeline.stage_runner.StageOptions)."""
 
-    def __init__(self, verb: str, given: argparse.Namespace, verbs: list[str], others: Collection[type] = ()) -> None:
+    def __init__(self, verb: str, flags: argparse.Namespace, verbs: list[str], others: Collection[type] = ()) -> None:
         """Read the file.
 
         Args:
             verbs: all verbs, which may have tables.
             others: configs of the verb's other uses, whose keys its table may hold too.
         """
-        self.verb, self._given, self._others = verb, given, others
-        self._path: Path | None = given.config
+        self.verb, self._flags, self._others = verb, flags, others
+        self._path: Path | None = flags.config
         content = read_toml(self._path) if self._path else {}
         self._tables = {key: value for key, value in content.items() if key in verbs and isinstance(value, dict)}
         top = {key: value for key, value in content.items() if key not in self._tables}
@@ -63,7 +63,7 @@ class Options:
             if table:
                 raise UsageError(f"{self._path}: {self.verb} has no option {min(table)!r}")
             return None
-        return build_config(config, self._given, table, str(self._path), self._others)
+        return build_config(config, self._flags, table, str(self._path), self._others)
 
     def table(self, verb: str) -> dict[str, Any]:
         """Return the file's table of a verb, empty without one."""
@@ -78,7 +78,7 @@ class Options:
         """Return seed, device, threads and memory, from flag, file or default."""
         values: dict[str, Any] = {}
         for key in COMMON_KEYS:
-            flag = getattr(self._given, key, None)
+            flag = getattr(self._flags, key, None)
             if flag is not None:
                 values[key] = flag
             elif key in self._common:
@@ -86,7 +86,7 @@ class Options:
         if values.get("device", "auto") not in DEVICES:
             raise UsageError(f"{self._path}: device is {values['device']!r}; expected one of {', '.join(DEVICES)}")
         if not 0 <= values.get("seed", 0) <= LARGEST_SEED:
-            where = f"{self._path}: seed" if self._given.seed is None else "--seed"
+            where = f"{self._path}: seed" if self._flags.seed is None else "--seed"
             raise UsageError(f"{where} is {values['seed']}; expected 0 to {LARGEST_SEED}")
         if "memory" in values:
             try:

@@ -122,10 +122,10 @@ def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
 
 def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
     """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
-    asked = dict(map(color_of, config.palette))
-    colors = {index: color for index, color in asked.items() if index is not None}
-    if None in asked:
-        every = enumerate(tinted(palette, shares, asked[None]).tolist())
+    requested = dict(map(color_of, config.palette))
+    colors = {index: color for index, color in requested.items() if index is not None}
+    if None in requested:
+        every = enumerate(tinted(palette, shares, requested[None]).tolist())
         colors = {index: tuple(color) for index, color in every} | colors
     return PaletteEdits(
         colors,

@@ -24,7 +24,7 @@ from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, Pixels, RayData
 # thread a buffer of its gradients.
 WORKING_BYTES = 1.2e9
 THREAD_BYTES = 4 * 8.3e6
-LEAST_BYTES = 64e6  # of photos that may be in memory, however little of it is left
+MIN_BYTES = 64e6  # of photos that may be in memory, however little of it is left
 
 
 def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayDataset:
@@ -35,7 +35,7 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
     cameras = [scene.cameras[i] for i in views]
     channels = max(scene.channels(i) for i in views)
     size = sum(c.width * c.height for c in cameras) * channels
-    left = max(available_bytes(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, LEAST_BYTES)
+    left = max(available_bytes(context.memory) - WORKING_BYTES - THREAD_BYTES * context.threads, MIN_BYTES)
     if size <= left:
         pixels = Pixels(np.empty(size, np.uint8), channels)
         for at, photo in _photos(scene, views, channels):
@@ -94,7 +94,7 @@ def photo_over(scene: SceneData, index: int, level: float) -> np.ndarray:
     return np.ascontiguousarray(pixels, dtype=np.float32)
 
 
-def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, chunks: int) -> np.ndarray:
+def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, threads: int) -> np.ndarray:
     """Return the photo as photo_over does, for training the colors of a field.
 
     With an opaque background nothing is transparent: there masked pixels are those that the field renders.
@@ -103,7 +103,7 @@ def photo_for(field: RadianceField, scene: SceneData, index: int, level: float, 
     if pixels.shape[2] != 4 or not field.opaque_background:
         return photo_over(scene, index, level)
     shown = pixels[..., 3:] > HIDDEN
-    seen = pixels if shown.all() else render_view(field, scene.cameras[index], threads=chunks).rgb
+    seen = pixels if shown.all() else render_view(field, scene.cameras[index], threads=threads).rgb
     return np.where(shown, pixels[..., :3], seen[..., :3]).astype(np.float32)
 
 
@@ -112,7 +112,7 @@ def level_of(background: str) -> float:
     return 1.0 if background == "white" else 0.0
 
 
-def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
+def load_pictures(artifact: Artifact, of: Artifact, threads: int) -> SceneData:
     """The scene as an edit of field `of` sees it: the looks of a stylized or recolored one are in no photo."""
     scene = load_scene(artifact, of)
     if shows_its_pictures(of):
@@ -120,7 +120,7 @@ def load_pictures(artifact: Artifact, of: Artifact, chunks: int) -> SceneData:
     field, background = load_field(of)
 
     def retaken(index: int) -> np.ndarray:
-        seen = render_view(field, scene.cameras[index], threads=chunks)
+        seen = render_view(field, scene.cameras[index], threads=threads)
         alpha = seen.alpha[..., None]
         if scene.channels(index) == 4:
             return np.concatenate([(seen.rgb / np.maximum(alpha, 1e-6)).clip(0, 1), alpha], axis=2)

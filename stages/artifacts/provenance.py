@@ -88,11 +88,11 @@ def upstream(artifacts: Iterable[Artifact]) -> list[Made]:
     found: dict[tuple[str, str], Made] = {}
     seen: set[tuple[str, str]] = set()
     for artifact in artifacts:
-        _walk(artifact, "", found, seen)
+        _visit(artifact, "", found, seen)
     return list(found.values())
 
 
-def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], seen: set[tuple[str, str]]) -> None:
+def _visit(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], seen: set[tuple[str, str]]) -> None:
     manifest = artifact.manifest
     key = (manifest.kind, artifact.name)
     if key in seen:
@@ -105,7 +105,7 @@ def _walk(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], s
         try:
             source = work.get(ref.kind, ref.name)
             changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artifact.name}"
-            _walk(source, changed, found, seen)
+            _visit(source, changed, found, seen)
         except StylerfError as error:
             why = f"cannot be read: {error}"
             found[ref.kind, ref.name] = Made(ref.kind, ref.name, "", None, None, None, None, "", "", why)

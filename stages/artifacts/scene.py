@@ -155,7 +155,7 @@ def load_scene(artifact: Artifact, seen_by: Artifact | None = None) -> SceneData
     return SceneData(artifact, scene, cameras, points, stops)
 
 
-def view_index(scene: SceneData, name: str, asked_by: str) -> int:
+def view_index(scene: SceneData, name: str, option: str) -> int:
     """Index of a view by its name, or by its number in the scene written #12; BadInput naming some of those there are.
 
     A bare number is a name: that of a photo which is missing must not mean the photo at that place.
@@ -170,7 +170,7 @@ def view_index(scene: SceneData, name: str, asked_by: str) -> int:
     at = ordered.index(name)
     some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
     known = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
-    raise BadInput(f"{asked_by}: there is no view {name!r}; {known}; `stylerf show WORK/scene/main` lists all")
+    raise BadInput(f"{option}: there is no view {name!r}; {known}; `stylerf show WORK/scene/main` lists all")
 
 
 def spread(views: list[int], count: int) -> list[int]:

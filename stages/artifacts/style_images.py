@@ -31,12 +31,12 @@ def read_colors(path: Path) -> np.ndarray:
     return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
 
 
-def read_painting(path: Path) -> torch.Tensor:
-    """[3, h, w] float32 sRGB 0..1; transparent parts of a painting count as white."""
+def read_style_image(path: Path) -> torch.Tensor:
+    """[3, h, w] float32 sRGB 0..1; transparent parts of a style image count as white."""
     pixels = read_colors(path)
     if min(pixels.shape[:2]) < 16:
         raise BadInput(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a painting of at least 16 pixels a side is needed"
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least 16 pixels a side is needed"
         )
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
@@ -51,7 +51,7 @@ def digest_of(references: Sequence[str]) -> str:
         view, path = file_of(text)
         if not path.is_file():
             raise BadInput(f"--reference {text}: there is no such image")
-        read_painting(path)
+        read_style_image(path)
         total.update(f"{view}={file_sha256(path)}\n".encode())
     return total.hexdigest() if references else ""
 
@@ -71,7 +71,7 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
         name, file = file_of(text)
         place = training_view(scene, name, f"--reference {text}")
         camera = scene.cameras[scene.splits["train"][place]]
-        picture = read_painting(file)
+        picture = read_style_image(file)
         height, width = picture.shape[1:]
         if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
             raise BadInput(
@@ -115,12 +115,12 @@ def check_references(scene: SceneData, config: RefNprConfig) -> None:
         resolve("vgg19-wct")
 
 
-def decoded_reference(photo: np.ndarray, painting: torch.Tensor, scale: float, device: str) -> np.ndarray:
+def decoded_reference(photo: np.ndarray, style_image: torch.Tensor, scale: float, device: str) -> np.ndarray:
     """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
     extractor = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
     height, width = photo.shape[:2]
-    picture = style_picture(painting, height, width, scale).to(device)
+    picture = style_picture(style_image, height, width, scale).to(device)
     made = adain_picture(extractor, Decoder(decoder.state).to(device), there, picture)
     return made.permute(1, 2, 0).contiguous().cpu().numpy()

@@ -69,9 +69,9 @@ def default_of(item: "Field[Any]") -> Any:
 
 def flags_of(config: Any) -> list[str]:
     """Return the command-line arguments that set the options of `config` which differ from their defaults."""
-    given: list[str] = []
+    arguments: list[str] = []
     for item in options_of(config):
         value = getattr(config, item.name)
         if value != default_of(item):
-            given += flags(flag_of(item), value)
-    return given
+            arguments += flags(flag_of(item), value)
+    return arguments

@@ -73,8 +73,8 @@ class EditConfig:
     def __post_init__(self) -> None:
         if self.recolor == bool(self.style):
             raise ValueError("a region takes either --recolor or --style IMAGE")
-        given = [one.name for one in fields(EditConfig) if getattr(self, one.name) != one.default]
-        if self.recolor and (idle := [name for name in STYLE_ONLY if name in given]):
+        changed = [one.name for one in fields(EditConfig) if getattr(self, one.name) != one.default]
+        if self.recolor and (idle := [name for name in STYLE_ONLY if name in changed]):
             raise ValueError(f"{', '.join(idle)}: no effect with --recolor, only with --style; leave it out")
         if min(self.palette_steps, self.style_steps) < 0 or self.pruned_steps < -1:
             raise ValueError("palette_steps and style_steps must be at least 0, pruned_steps at least 0, or -1")
@@ -97,8 +97,8 @@ class PaletteConfig:
     palette_bias: tuple[str, ...] = option((), metavar="I=B", help="add B to the weight of palette color I")
 
     def __post_init__(self) -> None:
-        given = [color_of(text)[0] for text in self.palette]
-        if given.count(None) > 1:
+        indices = [color_of(text)[0] for text in self.palette]
+        if indices.count(None) > 1:
             raise ValueError("palette all=#rrggbb can be given only once")
         for text in (*self.palette_weight, *self.palette_bias):
             number_of(text)

@@ -76,12 +76,12 @@ class EvaluateConfig:
     def __post_init__(self) -> None:
         for text in self.reference:
             file_of(text)
-        for flag, value, least in (
+        for flag, value, smallest in (
             ("--gap", self.gap, 2), ("--pairs", self.pairs, 0), ("--sheet", self.sheet, 1),
             ("--perceptual-pairs", self.perceptual_pairs, 0), ("--style-side", self.style_side, SMALLEST_SIDE),
             ("--margin", self.margin, 0), ("--ring", self.ring, 1),
         ):  # fmt: skip
-            if value < least:
-                raise ValueError(f"{flag} {value}: expected at least {least}")
+            if value < smallest:
+                raise ValueError(f"{flag} {value}: expected at least {smallest}")
         if not 0 < self.depth_tolerance < 1:
             raise ValueError(f"--depth-tolerance {self.depth_tolerance:g}: expected a share between 0 and 1")

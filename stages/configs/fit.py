@@ -10,7 +10,7 @@ FIELD_KINDS = ("vm", "hash", "voxel")
 FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
 # By layout, against haze (docs/decisions/0047).
 DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
-LEAST_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
+MIN_CELL_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
 # By layout, whenever density is trained (docs/decisions/0011).
 SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
 NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus

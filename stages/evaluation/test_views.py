@@ -207,9 +207,9 @@ def _premultiplied(pixels: np.ndarray) -> np.ndarray:
 
 
 def _camera(frame: Frame, artifact: Artifact) -> Camera:
-    given = frame.camera
+    stored = frame.camera
     try:
-        return Camera(frame.name, given.width, given.height, given.fx, given.fy, given.cx, given.cy,
-                      np.array(given.world_from_camera))  # fmt: skip
+        return Camera(frame.name, stored.width, stored.height, stored.fx, stored.fy, stored.cx, stored.cy,
+                      np.array(stored.world_from_camera))  # fmt: skip
     except InvalidValue as error:
         raise ArtifactDamaged(f"frames {artifact.name}: {error}; render them again") from error

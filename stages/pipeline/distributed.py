@@ -48,10 +48,10 @@ def join(verb: str, device: Callable[[], str]) -> "ProcessGroup":
     Raises:
         UsageError: the verb cannot run in several processes, or (in every process) their devices differ.
     """
-    from stylerf.training.common.process_group import ALONE, DistributedProcesses
+    from stylerf.training.common.process_group import SINGLE_PROCESS, DistributedProcesses
 
     if launched() == 1:
-        return ALONE
+        return SINGLE_PROCESS
     if verb not in VERBS:
         raise UsageError(
             f"{verb} runs in one process; start it without torchrun ({' and '.join(VERBS)} run in several)"

@@ -262,14 +262,14 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     # Refuse what cannot work before the first stage runs.
     look, _ = pinned_look(config.look, name)
     masks_of(config.selection)
-    given = field_named(runner, field_name) if field_name else None
-    start = given or ensure_field(runner, scene_of_work(runner.work))
+    selected_in = field_named(runner, field_name) if field_name else None
+    start = selected_in or ensure_field(runner, scene_of_work(runner.work))
     for kind in ("region", "edit-dataset", "edit", "scene", "field"):
         refuse_to_replace(runner.work, kind, name, [start])
     options = runner.options
-    region = selected(runner, config.selection, given, name, request)
+    region = selected(runner, config.selection, selected_in, name, request)
     dataset = edit_dataset(runner, region, None, options.config_of("extract", ExtractConfig), request)
     edit = learned_edit(runner, region, look.learning, look.changes, name, name, request, dataset)
     scene = distilled(runner, edit, options.config_of("distill", DistillConfig), request)
-    field = finetuned(runner, edit, given, options.config_of("finetune", FinetuneConfig), request, scene)
+    field = finetuned(runner, edit, selected_in, options.config_of("finetune", FinetuneConfig), request, scene)
     return LocalEdit(region, edit_dataset_of(runner.work, edit), edit, scene, field)

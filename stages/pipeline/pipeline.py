@@ -37,7 +37,7 @@ from stages.pipeline.stress import Baselines, stressed
 from stages.run.memory import bytes_of, in_words
 from stages.run.progress import Progress, Silent
 from stages.run.runner import Run, Spec
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 
 Field = Artifact | str  # a field, or its name; empty for the default
 
@@ -69,7 +69,7 @@ class Pipeline:
         options: StageOptions | None = None,
         only: bool = False,
         no_paths: bool = False,
-        processes: ProcessGroup = ALONE,
+        processes: ProcessGroup = SINGLE_PROCESS,
     ) -> None:
         """Open a work folder. Nothing is written before the first stage runs.
 

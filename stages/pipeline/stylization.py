@@ -62,7 +62,7 @@ def stylized(
 def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     """Fill in the digests of the files that the options name, checking that they can be read; return a name too."""
     from schemas.canonical_json import file_sha256
-    from stages.artifacts.style_images import digest_of, read_painting
+    from stages.artifacts.style_images import digest_of, read_style_image
     from stages.weights.resolve import chosen
 
     pairs = [file_of(text) for text in config.references]
@@ -74,7 +74,7 @@ def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     if not config.style:
         return config, name_of(pairs[0][1])
     style = style_file(config.style)
-    read_painting(style)
+    read_style_image(style)
     return replace(config, style=str(style.resolve()), style_digest=file_sha256(style)), name_of(style)
 
 

@@ -191,10 +191,10 @@ class _Bytes:
         self.at += size
         return values
 
-    def count(self, least_bytes: int) -> int:
-        """Read a count of items of at least `least_bytes` bytes each."""
+    def count(self, item_bytes: int) -> int:
+        """Read a count of items of at least `item_bytes` bytes each."""
         (number,) = self.take("Q")
-        self._need(number * least_bytes)
+        self._need(number * item_bytes)
         return number
 
     def skip(self, size: int) -> None:

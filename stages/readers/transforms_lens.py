@@ -70,9 +70,9 @@ def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tup
     focals, angles = [], []
     for axis in "xy":
         level = next((one for one in (numbers.frame, numbers.content) if _keys(axis) & one.keys()), {})
-        focals.append(_given(numbers, level, f"fl_{axis}"))
-        degrees = _given(numbers, level, f"{axis}_fov")
-        angles.append(_given(numbers, level, f"camera_angle_{axis}") if math.isnan(degrees) else math.radians(degrees))
+        focals.append(_focal(numbers, level, f"fl_{axis}"))
+        degrees = _focal(numbers, level, f"{axis}_fov")
+        angles.append(_focal(numbers, level, f"camera_angle_{axis}") if math.isnan(degrees) else math.radians(degrees))
     if all(map(math.isnan, (*focals, *angles))):
         raise BadInput(
             f"{numbers.where} has no focal length: neither fl_x nor camera_angle_x nor x_fov, nor fl_y, "
@@ -93,7 +93,7 @@ def _keys(axis: str) -> set[str]:
     return {f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}"}
 
 
-def _given(numbers: Numbers, level: dict, key: str) -> float:
+def _focal(numbers: Numbers, level: dict, key: str) -> float:
     """Return the number of that key, NaN if missing; BadInput if it is not finite."""
     if key not in level:
         return math.nan
@@ -107,7 +107,7 @@ def disagreement(numbers: Numbers, width: int, height: int) -> str:
     """Return a remark if two keys give different focal lengths of an axis; otherwise empty."""
     for axis, side in (("x", width), ("y", height)):
         for level in (numbers.frame, numbers.content):
-            values = {key: _given(numbers, level, key) for key in (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}")}
+            values = {key: _focal(numbers, level, key) for key in (f"fl_{axis}", f"{axis}_fov", f"camera_angle_{axis}")}
             focals = dict(_in_pixels(values, side))
             if len(focals) > 1 and max(focals.values()) > (1 + _ONE_FOCAL) * min(focals.values()):
                 first, *others = (f"{key} gives {value:.1f} px" for key, value in focals.items())

@@ -23,7 +23,7 @@ def memory_left() -> float:
         ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
     )
     left = [
-        limit - taken + _given_back(folder, files)
+        limit - taken + _reclaimable(folder, files)
         for folder in _groups("memory")
         for most, now, files in ways
         if (limit := _number(folder / most)) is not None and (taken := _number(folder / now)) is not None
@@ -62,7 +62,7 @@ def _number(path: Path) -> int | None:
     return None
 
 
-def _given_back(folder: Path, key: str) -> int:
+def _reclaimable(folder: Path, key: str) -> int:
     with suppress(OSError, ValueError, StopIteration):
         lines = (folder / "memory.stat").read_text().splitlines()
         return int(next(line for line in lines if line.startswith(f"{key} ")).split()[1])
@@ -76,17 +76,17 @@ except ImportError:  # not needed on Linux, where /proc has the same figures
 
 FREE_SHARE = 0.75  # of free memory, without --memory: leaves some to the rest of the machine
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-LEAST = 256 * 10**6  # bytes; the program alone takes more
+MIN_LIMIT = 256 * 10**6  # bytes; the program alone takes more
 
 
 def bytes_of(text: str) -> int:
-    """Parse '512M' as 512,000,000, '8G', '1.5G'; ValueError for anything else and for less than LEAST."""
+    """Parse '512M' as 512,000,000, '8G', '1.5G'; ValueError for anything else and for less than MIN_LIMIT."""
     match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)B?", text.strip(), re.IGNORECASE)
     if not match:
         raise ValueError(f"{text!r} is not an amount of memory such as 512M or 8G")
     found = int(float(match[1]) * UNITS[match[2].upper()])
-    if found < LEAST:
-        raise ValueError(f"{text!r} is less than the program alone takes; at least {in_words(LEAST)} is needed")
+    if found < MIN_LIMIT:
+        raise ValueError(f"{text!r} is less than the program alone takes; at least {in_words(MIN_LIMIT)} is needed")
     return found
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 
 
 class Progress(Protocol):
@@ -49,5 +49,5 @@ class Context:
     memory: int = 0
     rebuild: bool = False
     no_paths: bool = False
-    processes: ProcessGroup = ALONE
+    processes: ProcessGroup = SINGLE_PROCESS
     progress: Progress = Silent()

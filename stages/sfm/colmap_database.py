@@ -69,7 +69,7 @@ def pairs(count: int, matching: str) -> list[tuple[int, int]]:
 
 # What is computed row by row, so that a lost row is simply found again.
 COMPUTED = ("keypoints", "descriptors", "matches", "two_view_geometries")
-_GIVEN = ("rigs", "rig_sensors", "cameras", "frames", "frame_data", "images", "pose_priors")
+INPUTS = ("rigs", "rig_sensors", "cameras", "frames", "frame_data", "images", "pose_priors")
 
 
 class Rows:
@@ -103,7 +103,7 @@ class Rows:
             with closing(self._open()) as database:
                 held = set(_stored_rows(database))
                 unknown = held - self._digests.keys()
-                if not self._digests.keys() <= held or any(table in _GIVEN for table, _ in unknown):
+                if not self._digests.keys() <= held or any(table in INPUTS for table, _ in unknown):
                     return False
                 if any(_digest(database, *row) != digest for row, digest in self._digests.items()):
                     return False
@@ -119,7 +119,7 @@ class Rows:
 
 
 def _stored_rows(database: sqlite3.Connection) -> Iterator[tuple[str, int]]:
-    for table in (*_GIVEN, *COMPUTED):
+    for table in (*INPUTS, *COMPUTED):
         for (number,) in database.execute(f"SELECT rowid FROM {table} ORDER BY rowid").fetchall():
             yield table, number
 

@@ -21,7 +21,7 @@ WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # Refine a lens beyond its focal length and first coefficient only if this many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
-LARGEST_ERROR, LEAST_PARALLAX = 4.0, 1.5
+LARGEST_ERROR, MIN_PARALLAX = 4.0, 1.5
 # A refined principal point further from the center than this share of the side is an error absorbed, no lens.
 FARTHEST_CENTER = 0.08
 
@@ -94,7 +94,7 @@ def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reco
     sound = all(_is_lens(model.cameras[number]) for number in set(used))
     if not sound or model.compute_mean_reprojection_error() > old_error:
         return pycolmap.Reconstruction(before), False
-    pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_ERROR, LEAST_PARALLAX)
+    pycolmap.ObservationManager(model).filter_all_points3D(LARGEST_ERROR, MIN_PARALLAX)
     model.update_point_3d_errors()
     return model, True
 

@@ -94,7 +94,7 @@ class _Seen:
 FEWEST_PHOTOS = 3
 REFUSED_SHARE, WORRYING_SHARE = 0.5, 0.8
 LARGEST_ERROR = 2.0  # pixels of the copies, mean over all points
-LEAST_PARALLAX, LITTLE_PARALLAX = 1.0, 3.0  # degrees, median over points
+MIN_PARALLAX, LITTLE_PARALLAX = 1.0, 3.0  # degrees, median over points
 REFUSED_AGREEMENT, WORRYING_AGREEMENT = 0.5, 0.8
 AGREEING_DISTANCE = 4.0  # pixels, the tolerance that matches were verified with
 # Of the pairs that must match 29 % were silent on a folded lego, 1 of 1,167 on eight sound captures (decision 0044).
@@ -234,10 +234,10 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
             f"the reconstruction is off by {found.error_px:.2f} px on average (limit {LARGEST_ERROR:g}); {remedy}",
             [],
         )
-    if found.parallax_deg < LEAST_PARALLAX:
+    if found.parallax_deg < MIN_PARALLAX:
         return (
             f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
-            f"{LEAST_PARALLAX:g} is needed); step sideways between photos in place of turning"
+            f"{MIN_PARALLAX:g} is needed); step sideways between photos in place of turning"
         ), []
     if found.turned_share >= TURNED_SHARE:
         return (

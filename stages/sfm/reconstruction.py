@@ -150,8 +150,8 @@ def run_child(job: Path, context: Context) -> None:
 
 def _search_path() -> str:
     """Return the child's PYTHONPATH: our absolute entries. An empty entry would be the current folder."""
-    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
-    return os.pathsep.join([str(ROOT), *(entry for entry in given if os.path.isabs(entry))])
+    inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return os.pathsep.join([str(ROOT), *(entry for entry in inherited if os.path.isabs(entry))])
 
 
 def _end(child: subprocess.Popen) -> None:

@@ -1,14 +1,14 @@
 """Success criteria of fits, stylizations and local edits, fixed in advance. All values must be finite.
 
-    fit           PSNR of the test views is at least LEAST_GAIN dB above that of the best picture of one color; for an
+    fit           PSNR of the test views is at least MIN_GAIN dB above that of the best picture of one color; for an
                   object, above that of its silhouette filled with one color
-    stylization   the test views' luma explains at least LEAST_STRUCTURE of the local variance of the photos' luma (for
+    stylization   the test views' luma explains at least MIN_STRUCTURE of the local variance of the photos' luma (for
                   an object: of the part that its silhouette in one color leaves); and their colors are at most
                   COLOR_SHARE as far from the style image's as the photos' are, or at most COLOR_NEAR away
                   (2-Wasserstein distance of colors as Gaussians)
-    edit          a test view shows the region; its colors change by at least LEAST_CHANGE on average (CIE76), those
+    edit          a test view shows the region; its colors change by at least MIN_CHANGE on average (CIE76), those
                   more than MARGIN pixels around it by at most MOST_SPILL of that; and its luma keeps an SSIM of at
-                  least LEAST_CONTENT with the field before
+                  least MIN_CONTENT with the field before
 
 Strokes are not judged: the network that judges them would be the one that was optimized.
 """
@@ -22,12 +22,12 @@ from stylerf.metrics.frechet import palette_distance
 from stylerf.metrics.image_quality import content_ssim, explained_structure, psnr
 from stylerf.metrics.local_edit import mean_change, split_view
 
-LEAST_GAIN = 3.0  # dB
-LEAST_CONTENT = 0.2
-LEAST_STRUCTURE = 1 / 3  # a flat picture has 0, the photo 1; chosen by eye, docs/decisions/0037
+MIN_GAIN = 3.0  # dB
+MIN_CONTENT = 0.2
+MIN_STRUCTURE = 1 / 3  # a flat picture has 0, the photo 1; chosen by eye, docs/decisions/0037
 # Good stylizations of 15 steps had 0.38 to 0.52, depending on the style image; an unstylized scene has 1.
 COLOR_SHARE, COLOR_NEAR = 0.7, 0.1
-LEAST_CHANGE, MOST_SPILL, MARGIN = 10.0, 0.2, 3
+MIN_CHANGE, MOST_SPILL, MARGIN = 10.0, 0.2, 3
 SCORES = {
     "fits": ("PSNR", "dB", 2),
     "stylizations": ("structure kept", "", 3),
@@ -72,11 +72,11 @@ def judge_fit(views: Sequence[ViewPair]) -> Verdict:
         return broken
     each = [min(psnr(view.render, view.photo), 100.0) for view in views]
     flat = _colors(views, "photo").mean(0)
-    least = float(np.mean([min(psnr(_filled(view, flat), view.photo), 100.0) for view in views]))
+    of_flat = float(np.mean([min(psnr(_filled(view, flat), view.photo), 100.0) for view in views]))
     score = float(np.mean(each))
-    gain = score - least
+    gain = score - of_flat
     reference = "its silhouette in one color" if any(view.mask is not None for view in views) else "one flat color"
-    why = "" if gain >= LEAST_GAIN else f"{gain:.1f} dB over {reference}, expected at least {LEAST_GAIN:g}"
+    why = "" if gain >= MIN_GAIN else f"{gain:.1f} dB over {reference}, expected at least {MIN_GAIN:g}"
     return Verdict(not why, why, score, int(np.argmin(each)), {"psnr": score, "gain_over_flat": gain})
 
 
@@ -101,8 +101,8 @@ def judge_style(views: Sequence[ViewPair], style: np.ndarray) -> Verdict:
     after = palette_distance(_colors(views, "render"), wanted).frechet
     score = float(np.mean(each))
     whys = []
-    if score < LEAST_STRUCTURE:
-        whys.append(f"structure kept {score:.2f}, expected at least {LEAST_STRUCTURE:g}")
+    if score < MIN_STRUCTURE:
+        whys.append(f"structure kept {score:.2f}, expected at least {MIN_STRUCTURE:g}")
     if after > max(COLOR_SHARE * before, COLOR_NEAR):
         whys.append(f"colors {after:.2f} from the style image's, the photos {before:.2f}")
     figures = {"structure": score, "content_ssim": float(content.mean())}
@@ -116,8 +116,8 @@ def _content_and_structure(view: ViewPair) -> tuple[float, float]:
     An object's flat picture is its silhouette filled with its mean color.
     """
     filled, flat = _filled(view, view.render), _filled(view, _colors([view], "render").mean(0))
-    kept, least = (explained_structure(picture, view.photo, _weights(view)) for picture in (filled, flat))
-    return content_ssim(filled, view.photo, _weights(view)), (kept - least) / max(1 - least, 1e-6)
+    kept, of_flat = (explained_structure(picture, view.photo, _weights(view)) for picture in (filled, flat))
+    return content_ssim(filled, view.photo, _weights(view)), (kept - of_flat) / max(1 - of_flat, 1e-6)
 
 
 def judge_edit(views: Sequence[ViewPair]) -> Verdict:
@@ -133,12 +133,12 @@ def judge_edit(views: Sequence[ViewPair]) -> Verdict:
     around = _change(shown, [part.outside for part in parts])
     content = float(np.mean([content_ssim(view.render, view.photo, _weights(view)) for view in shown]))
     whys = []
-    if inside < LEAST_CHANGE:
-        whys.append(f"the region changed by {inside:.1f} dE, expected at least {LEAST_CHANGE:g}")
+    if inside < MIN_CHANGE:
+        whys.append(f"the region changed by {inside:.1f} dE, expected at least {MIN_CHANGE:g}")
     if around > MOST_SPILL * inside:
         whys.append(f"its surroundings changed by {around:.1f} dE, the region by {inside:.1f}")
-    if content < LEAST_CONTENT:
-        whys.append(f"content SSIM {content:.2f}, expected at least {LEAST_CONTENT:g}")
+    if content < MIN_CONTENT:
+        whys.append(f"content SSIM {content:.2f}, expected at least {MIN_CONTENT:g}")
     score = max(0.0, 1 - around / inside) if inside > 0 else 0.0
     spilt = [_change([view], [part.outside]) for view, part in zip(shown, parts, strict=True)]
     figures = {"change_inside": inside, "change_around": around, "content_ssim": content}

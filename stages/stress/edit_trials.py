@@ -88,6 +88,6 @@ def edited(
     edit = execute(edit_learn, {"edit-dataset": dataset}, options.learning, name)
     if options.changes:
         edit = execute(edit_palette, {"edit": edit}, PaletteConfig(palette=options.changes), changed)
-    given = {"scene": scene, "field": field, "edit-dataset": dataset, "edit": edit}
-    photos = execute(distill, given, DistillConfig(), edit.name)
+    inputs = {"scene": scene, "field": field, "edit-dataset": dataset, "edit": edit}
+    photos = execute(distill, inputs, DistillConfig(), edit.name)
     return execute(finetune, inputs | {"scene": photos}, options.finetune, edit.name), region

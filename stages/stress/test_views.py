@@ -23,13 +23,13 @@ def view_pairs(scene: Artifact, field: Artifact, threads: int) -> list[ViewPair]
     """
     data = load_scene(scene)
     radiance, background = load_field(field)
-    level, chunks = level_of(background), set_threads(threads)
+    level, threads = level_of(background), set_threads(threads)
     views = []
     for index in data.splits["test"]:
         camera, photo = data.cameras[index], data.images(index)
         mask = photo[..., 3] > 0.5 if photo.shape[2] == 4 and not radiance.opaque_background else None
-        render = _over(render_view(radiance, camera, threads=chunks), level)
-        views.append(ViewPair(camera.name, render, photo_for(radiance, data, index, level, chunks), mask))
+        render = _over(render_view(radiance, camera, threads=threads), level)
+        views.append(ViewPair(camera.name, render, photo_for(radiance, data, index, level, threads), mask))
     return views
 
 
@@ -39,11 +39,11 @@ def view_pairs_of_edit(
     """Render every test view of an edited field and of the field before, with the mask of the region."""
     data = load_scene(scene)
     (plain, background), (edited, _), (cells, _) = load_field(before), load_field(after), load_region(region)
-    level, chunks = level_of(background), set_threads(threads)
+    level, threads = level_of(background), set_threads(threads)
     views = []
     for camera in (data.cameras[index] for index in data.splits["test"]):
-        found = render_view(plain, camera, threads=chunks, regions={"part": cells.edit})
-        pictures = _over(render_view(edited, camera, threads=chunks), level), _over(found, level)
+        found = render_view(plain, camera, threads=threads, regions={"part": cells.edit})
+        pictures = _over(render_view(edited, camera, threads=threads), level), _over(found, level)
         views.append(ViewPair(camera.name, *pictures, found.masks["part"] > REGION_THRESHOLD))
     return views
 

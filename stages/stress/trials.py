@@ -21,7 +21,7 @@ from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResour
 from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, WorkFolder
 from stages import corrupt_scene, deform_init, nerf_fit, stylize
-from stages.artifacts.style_images import read_painting
+from stages.artifacts.style_images import read_style_image
 from stages.configs.deform import DeformConfig
 from stages.configs.faults import CLEAN, FAULTS, METHODS, ORDINARY_STYLE, STYLE, CorruptSceneConfig, Fault, Method
 from stages.configs.fit import FitConfig
@@ -331,7 +331,7 @@ class Stress:
             field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")
         views = view_pairs(scene, field, threads)
         if method.style:
-            style = read_painting(self.style_image(trial)[0]).permute(1, 2, 0).numpy()
+            style = read_style_image(self.style_image(trial)[0]).permute(1, 2, 0).numpy()
             verdict = criteria.judge_style(views, style)
         else:
             verdict = criteria.judge_fit(views)

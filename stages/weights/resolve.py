@@ -85,7 +85,7 @@ def chosen(features: str) -> dict[str, str]:
 
     Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
     """
-    features = features or found_trunk()
+    features = features or found_extractor()
     if features in EXTRACTORS:
         return {"features": features, "features_digest": ""}
     path = Path(features).expanduser()
@@ -100,7 +100,7 @@ def digests_of_files(config: Any) -> dict[str, str]:
     return found | ({"features_digest": file_sha256(config.features)} if config.features_digest else {})
 
 
-def found_trunk() -> str:
+def found_extractor() -> str:
     """Name of the extractor that None finds, empty without any; reads no weights."""
     return next((row["name"] for row in describe() if row["chosen"]), "")
 

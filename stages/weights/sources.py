@@ -179,7 +179,7 @@ def canonical(found: Mapping[str, Tensor]) -> State:
 
 
 # How a file of unknown origin is recognized: a tensor only it has -> (architecture, converter).
-TRUNK_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
+EXTRACTOR_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
     "conv1_1.weight": ("vgg16", canonical),
     "features.28.weight": ("vgg16", torchvision_vgg16),
     "hed.conv1_1.weight": ("vgg16-ceil", hed_vgg16),
@@ -194,7 +194,7 @@ def recognized(path: Path) -> tuple[str, State]:
     A safetensors file may name its architecture under "kind" in its metadata, as this program's cache does.
     """
     found = read_file(path)
-    for mark, (kind, convert) in TRUNK_MARKS.items():
+    for mark, (kind, convert) in EXTRACTOR_MARKS.items():
         if mark in found:
             return _stated_kind(path) or kind, converted(convert, path, found)
     raise BadInput(

@@ -54,10 +54,10 @@ def spread_views(centers: np.ndarray, count: int, generator: np.random.Generator
     if not 0 < count <= len(centers):
         raise InvalidValue(f"cannot choose {count} of {len(centers)} views")
     chosen = [int(generator.integers(len(centers)))]
-    least = np.linalg.norm(centers - centers[chosen[0]], axis=1)
+    nearest = np.linalg.norm(centers - centers[chosen[0]], axis=1)
     while len(chosen) < count:
-        chosen.append(int(np.argmax(least)))
-        least = np.minimum(least, np.linalg.norm(centers - centers[chosen[-1]], axis=1))
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(centers - centers[chosen[-1]], axis=1))
     return sorted(chosen)
 
 

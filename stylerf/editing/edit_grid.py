@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
@@ -47,9 +48,9 @@ class Region:
         """Return whether cube points [n, 3] lie in E, [n] bool."""
         return self.edit[tuple(cells_of_points(x, self.cells).T)]
 
-    def alpha(self, samples: Samples, chunks: int) -> np.ndarray:
+    def alpha(self, samples: Samples, threads: int) -> np.ndarray:
         """Return alpha_E [rays], the part of each ray's opacity inside E."""
-        return alpha_inside(self.edit, samples, chunks)
+        return alpha_inside(self.edit, samples, threads)
 
 
 def cells_of_points(x: np.ndarray, cells: int) -> np.ndarray:
@@ -64,7 +65,7 @@ def marked_at(x: np.ndarray, cells: int) -> np.ndarray:
     return out
 
 
-def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = SOLID) -> np.ndarray:
+def solid_cells(field: RadianceField, cells: int, threads: int, opacity: float = SOLID) -> np.ndarray:
     """Mark cells whose opacity, when crossed, is at least `opacity`; [cells, cells, cells] bool.
 
     LAENeRF uses a raw density of 10 instead, which depends on the unit of density. A cell's density is that at its
@@ -72,7 +73,7 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
     evaluated.
     """
     # 1 - exp(-OPTICAL_SCALE sigma / cells) = opacity, solved for sigma: a cell is 1/cells long (decision 0002).
-    least = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
+    threshold = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
     corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1).astype(np.int32)
     candidates = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
     highest = np.zeros(cells**3, np.float32)
@@ -82,8 +83,8 @@ def solid_cells(field: RadianceField, cells: int, chunks: int, opacity: float = 
         for at in range(0, len(candidates), POINTS_AT_ONCE):
             some = candidates[at : at + POINTS_AT_ONCE]
             points = np.ascontiguousarray((corner[some] + shift) / np.float32(cells), np.float32)
-            highest[some] = np.maximum(highest[some], field.density.sigma(points, chunks))
-    return (highest >= least).reshape((cells,) * 3)
+            highest[some] = np.maximum(highest[some], field.density.sigma(points, threads))
+    return (highest >= threshold).reshape((cells,) * 3)
 
 
 def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
@@ -168,10 +169,13 @@ def neighbors(cells: np.ndarray, s: int) -> np.ndarray:
 
 
 def march_view(
-    field: RadianceField, camera: Camera, chunks: int, rays_at_once: int = 8192
+    field: RadianceField, camera: Camera, threads: int, rays_at_once: int = 8192
 ) -> Iterator[tuple[slice, Samples]]:
     """Yield (slice of pixels, Samples) for the rays through all pixel centers of a view, in parts."""
     origins, directions = camera.rays()
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, min(at + rays_at_once, len(origins)))
-        yield part, field.march(Rays.of(origins[part], directions[part], field.space.near), 512, 1e-3, chunks)
+        yield (
+            part,
+            field.march(Rays.of(origins[part], directions[part], field.space.near), SAMPLES_PER_RAY, 1e-3, threads),
+        )

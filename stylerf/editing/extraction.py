@@ -103,7 +103,7 @@ class Seen:
     depth: np.ndarray
 
 
-def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], chunks: int) -> list[np.ndarray]:
+def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], threads: int) -> list[np.ndarray]:
     """Return, for each grid of marked cells, [pixels, 6]: alpha, alpha inside, depth along the ray (scene units), x.
 
     Depth and x are weighted means over the samples inside. LAENeRF uses sums over all samples of the ray, not divided
@@ -111,12 +111,12 @@ def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], 
     """
     flat = [np.ascontiguousarray(marked).reshape(-1) for marked in grids]
     outs = [np.empty((camera.height * camera.width, 6), np.float32) for _ in grids]
-    for part, s in march_view(field, camera, chunks):
+    for part, s in march_view(field, camera, threads):
         # For whole rays the opaque background has no distance, as in the depth that they are compared to.
         foreground = np.where(s.deltas > 0, s.weights, np.float32(0))
         for marked, own, out in zip(grids, flat, outs):
             weights = foreground if marked is EVERYWHERE else s.weights
-            ends_inside(own, marked.shape[0], s.shading_points(weights), s.t, chunks, out[part])
+            ends_inside(own, marked.shape[0], s.shading_points(weights), s.t, threads, out[part])
     for out in outs:
         out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)  # sums to means; stays 0 where nothing is inside
     return outs
@@ -129,7 +129,7 @@ def seen_of_view(
     region: Region,
     settings: Extraction,
     view: int,
-    chunks: int,
+    threads: int,
     ends_of: Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None = None,
 ) -> Seen:
     """Extract what a view shows of the region; `edit` is None if it shows nothing.
@@ -144,7 +144,7 @@ def seen_of_view(
     """
     fading = settings.reach > 0 and bool(region.grow.any())
     grids = [region.edit, region.grow, EVERYWHERE] if fading else [region.edit, EVERYWHERE]
-    ends, *around, rays = ends_of(camera, grids) if ends_of else ends_of_view(field, camera, grids, chunks)
+    ends, *around, rays = ends_of(camera, grids) if ends_of else ends_of_view(field, camera, grids, threads)
     alpha, inside = np.clip(ends[:, 0], 0, 1), np.clip(ends[:, 1], 0, 1)
     shape = (camera.height, camera.width)
     shown = (alpha > OPAQUE) & (alpha - inside <= settings.tolerance) & (inside > 1e-3)

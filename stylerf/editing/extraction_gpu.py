@@ -10,10 +10,10 @@ from stylerf.editing.extraction import EVERYWHERE
 from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.gpu.parts import marked_cells
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
-from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.rendering.view_gpu import rays_of
 
 RAYS_AT_ONCE = 1 << 17

@@ -111,7 +111,7 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
         normals, depths = hull.equations[beside, :3], hull.equations[beside, 3]
         areas = np.array([_area(corners[face]) for face in hull.simplices[beside]])
         # The added volume is a sum of pyramids over these faces, area * distance / 3, which is linear in the point.
-        found = least_outside(normals, depths, areas @ normals / 3)
+        found = cheapest_outside(normals, depths, areas @ normals / 3)
         if found is None:
             continue
         added = float(areas @ (normals @ found + depths)) / 3
@@ -126,7 +126,7 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
     return left[ConvexHull(left).vertices]
 
 
-def least_outside(normals: np.ndarray, depths: np.ndarray, cost: np.ndarray) -> np.ndarray | None:
+def cheapest_outside(normals: np.ndarray, depths: np.ndarray, cost: np.ndarray) -> np.ndarray | None:
     """Return the point [3] that minimizes cost @ point subject to normals [k, 3] @ point + depths >= 0; None if none.
 
     A linear program in three unknowns: its optimum is where three of the planes meet, so all such points are tried.

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import PaletteEvaluator
+from stylerf.geometry.cameras import evenly_spaced
 
 REFERENCE_PIXELS = 1e5  # pixels of a region at the resolutions for which the published weights were chosen
 
@@ -167,24 +168,22 @@ def weight_variation(weights: np.ndarray, view: EditView) -> float:
     return float((differences * gates**2).sum() / max(len(view), 1))
 
 
-LEAST_SHARE = 0.025  # mean weight below which a color is pruned (LAENeRF, supplement 1.2)
+MIN_SHARE = 0.025  # mean weight below which a color is pruned (LAENeRF, supplement 1.2)
 SAMPLED_VIEWS = 10
 
 
 def some_of(views: list[EditView]) -> list[EditView]:
     """Return up to SAMPLED_VIEWS views, evenly spaced (LAENeRF draws ten with replacement)."""
-    count = len(views)
-    chosen = np.unique(np.linspace(0, count - 1, min(count, SAMPLED_VIEWS)).round().astype(int))
-    return [views[at] for at in chosen]
+    return [views[at] for at in evenly_spaced(len(views), SAMPLED_VIEWS)]
 
 
-def shares_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> np.ndarray:
+def shares_of(module: PaletteEvaluator, views: list[EditView], threads: int) -> np.ndarray:
     """Return the mean weight [A] of each active color, over the pixels of a view and then over sampled views."""
-    return np.asarray(np.mean([module.weights(view.x, chunks).mean(0) for view in some_of(views)], 0))
+    return np.asarray(np.mean([module.weights(view.x, threads).mean(0) for view in some_of(views)], 0))
 
 
 def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray:
-    """Choose the colors that stay active: the `most` largest of at least LEAST_SHARE, and at least one.
+    """Choose the colors that stay active: the `most` largest of at least MIN_SHARE, and at least one.
 
     Args:
         active: [colors] bool.
@@ -196,31 +195,38 @@ def kept_colors(active: np.ndarray, shares: np.ndarray, most: int) -> np.ndarray
     """
     # Stable: equal shares keep the palette's order on every machine.
     order = np.argsort(-shares, kind="stable")
-    chosen = [at for at in order[:most] if shares[at] >= LEAST_SHARE] or [order[0]]
+    chosen = [at for at in order[:most] if shares[at] >= MIN_SHARE] or [order[0]]
     out = np.zeros_like(active)
     out[np.flatnonzero(active)[chosen]] = True
     return out
 
 
-def figures_of(module: PaletteEvaluator, views: list[EditView], chunks: int) -> dict[str, Any]:
+def figures_of(module: PaletteEvaluator, views: list[EditView], threads: int) -> dict[str, Any]:
     """Return metrics on sampled views as JSON: colors, mean weights, sparsity L_sp, palette TV, and PSNR (dB)."""
     errors, pixels = 0.0, 0
     sparse: list[float] = []
     varied: list[float] = []
     shares: list[np.ndarray] = []
     for view in some_of(views):
-        mixture = module.mixture(view.x, view.directions, chunks)
+        mixture = module.mixture(view.x, view.directions, threads)
         weights = mixture.weights.numpy()
         errors += float(np.square(mixture.colors.numpy() - view.target, dtype=np.float64).sum())
         pixels += len(view)
         sparse.append(sparsity(weights))
         varied.append(weight_variation(weights, view))
         shares.append(weights.mean(0))
+    return figures_json(module.palette, shares, sparse, varied, errors / (3 * pixels))
+
+
+def figures_json(
+    palette: np.ndarray, shares: list[np.ndarray], sparse: list[float], varied: list[float], error: float
+) -> dict[str, Any]:
+    """Return the metrics of a palette as JSON, from each view's mean weights, L_sp and palette TV, and the MSE."""
     return {
-        "colors": len(module.palette),
-        "palette": [[round(float(v), 4) for v in color] for color in module.palette],
+        "colors": len(palette),
+        "palette": [[round(float(v), 4) for v in color] for color in palette],
         "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
         "sparsity": round(float(np.mean(sparse)), 4),
         "palette_variation": round(float(np.mean(varied)), 5),
-        "psnr": round(-10 * math.log10(max(errors / (3 * pixels), 1e-10)), 2),
+        "psnr": round(-10 * math.log10(max(error, 1e-10)), 2),
     }

@@ -48,7 +48,7 @@ class PaletteEvaluator(ABC):
         """The active colors [A, 3], sRGB 0..1."""
 
     @abstractmethod
-    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+    def mixture(self, x: np.ndarray, directions: np.ndarray, threads: int = 1) -> Mixture:
         """Evaluate the module at cube points and unit directions [n, 3]; the result is on the CPU."""
 
     @abstractmethod
@@ -57,9 +57,9 @@ class PaletteEvaluator(ABC):
     ) -> np.ndarray:
         """Do as colors(), given a mixture on the CPU."""
 
-    def weights(self, x: np.ndarray, chunks: int = 1) -> np.ndarray:
+    def weights(self, x: np.ndarray, threads: int = 1) -> np.ndarray:
         """Return the weights [n, A] float32 at cube points [n, 3]."""
-        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), chunks).weights.numpy()
+        return self.mixture(x, np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)), threads).weights.numpy()
 
     def colors(
         self,
@@ -67,7 +67,7 @@ class PaletteEvaluator(ABC):
         directions: np.ndarray,
         edits: PaletteEdits | None = None,
         transition: np.ndarray | None = None,
-        chunks: int = 1,
+        threads: int = 1,
     ) -> np.ndarray:
         """Return colors [n, 3] float32 in 0..1, after `edits` if given.
 
@@ -78,7 +78,7 @@ class PaletteEvaluator(ABC):
             transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
                 P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
         """
-        return self.edited(self.mixture(x, directions, chunks), edits, transition)
+        return self.edited(self.mixture(x, directions, threads), edits, transition)
 
 
 class PaletteModule(PaletteEvaluator):
@@ -173,12 +173,12 @@ class PaletteModule(PaletteEvaluator):
         return np.clip(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active], 0, 1)
 
     @torch.no_grad()
-    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+    def mixture(self, x: np.ndarray, directions: np.ndarray, threads: int = 1) -> Mixture:
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
             basis = torch.from_numpy(harmonics(directions[part], DEGREE))
-            parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), chunks), basis))
+            parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), threads), basis))
         if not parts:
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))

@@ -66,7 +66,7 @@ class GpuPaletteModule(PaletteEvaluator):
         return self.networks[: 3 * len(self.active)].view(-1, 3)[self.kept].clamp(0, 1).cpu().numpy()
 
     @torch.no_grad()
-    def mixture(self, x: np.ndarray, directions: np.ndarray, chunks: int = 1) -> Mixture:
+    def mixture(self, x: np.ndarray, directions: np.ndarray, threads: int = 1) -> Mixture:
         parts = []
         for at in range(0, max(1, len(x)), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)

@@ -67,9 +67,9 @@ class RegionStyle:
 
     def _padded(self, picture: Tensor) -> Tensor:
         """Pad a thin image with black to the smallest side that the extractor accepts."""
-        least = 2 * self.extractor.stride
+        smallest = 2 * self.extractor.stride
         height, width = picture.shape[-2:]
-        return F.pad(picture, (0, max(0, least - width), 0, max(0, least - height)))
+        return F.pad(picture, (0, max(0, smallest - width), 0, max(0, smallest - height)))
 
     def canvas(self, view: EditView) -> Canvas:
         """Return what `distance` needs of a view."""

@@ -10,6 +10,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_ed
 from skimage.color import rgb2lab
 
 from stylerf.editing.edit_grid import march_view
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.packed_surface import PackedSurface, surface_of
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -17,11 +18,11 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
-LIGHT = 0.5  # factor of lightness differences: an object may be partly in shadow
+LIGHTNESS = 0.5  # factor of lightness differences: an object may be partly in shadow
 SEEN = 0.05  # summed weight from which a cell counts as seen
 INHERIT = 2.0  # cells that a color extends beyond the seen ones, into solid ones
 MOST_RAYS = 1 << 16  # of a view; cells are larger than pixels, and many views see each
-SHARE = 0.02  # samples of less than this fraction of their ray's largest weight are ignored
+WEIGHT_THRESHOLD = 0.02  # samples of less than this fraction of their ray's largest weight are ignored
 CLAIM_REACH = 2  # cells
 EVERYWHERE = np.ones((3, 3, 3), bool)
 
@@ -41,10 +42,10 @@ class Look:
     stride: int
 
     @staticmethod
-    def at(field: RadianceField, camera: Camera, photo: np.ndarray, chunks: int) -> "Look":
+    def at(field: RadianceField, camera: Camera, photo: np.ndarray, threads: int) -> "Look":
         """March about MOST_RAYS rays of a view with its photo [h, w, 3]."""
         stride = math.ceil(math.sqrt(camera.height * camera.width / MOST_RAYS))
-        surface = surface_of(field, camera, SHARE, chunks, stride=stride)
+        surface = surface_of(field, camera, WEIGHT_THRESHOLD, threads, stride=stride)
         colors = np.ascontiguousarray(photo[::stride, ::stride].reshape(-1, 3), np.float32)
         return Look(surface, colors, stride)
 
@@ -52,11 +53,11 @@ class Look:
         """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
         add_to_cells(values, cells, self.surface.samples(np.arange(self.surface.alpha.size)), to)
 
-    def share_inside(self, marked: np.ndarray, chunks: int) -> np.ndarray:
+    def share_inside(self, marked: np.ndarray, threads: int) -> np.ndarray:
         """[rays, 1]: part of each ray's opacity that lies in marked cells [s, s, s]."""
         points = self.surface.samples(np.arange(self.surface.alpha.size))
         inside, flat = np.empty(len(points.starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
-        weights_inside(flat, marked.shape[0], points, chunks, inside)
+        weights_inside(flat, marked.shape[0], points, threads, inside)
         return (inside / np.maximum(self.surface.alpha.ravel(), 1e-6))[:, None]
 
 
@@ -79,7 +80,7 @@ class SeenCells:
         seen = self.weight > SEEN
         mean = sums[:, :3].reshape(*shape, 3) / np.maximum(self.weight, 1e-12)[..., None]
         lab = np.full((*shape, 3), np.nan, np.float32)
-        lab[seen] = halved_light(mean[seen])
+        lab[seen] = halved_lightness(mean[seen])
         # Cells behind the visible surface are solid but have no color of their own.
         away, nearest = distance_transform_edt(~seen, return_indices=True)
         near = (away > 0) & (away <= INHERIT)
@@ -108,10 +109,10 @@ class SeenCells:
         return np.asarray(np.sqrt(squares))
 
 
-def halved_light(srgb: np.ndarray) -> np.ndarray:
-    """Convert sRGB colors [n, 3], 0..1, to CIELAB (D65) with L times LIGHT, to weight lightness less in distances."""
+def halved_lightness(srgb: np.ndarray) -> np.ndarray:
+    """Convert sRGB colors [n, 3], 0..1, to CIELAB (D65) with L times LIGHTNESS, for distances that weigh it less."""
     lab = rgb2lab(np.clip(srgb, 0, 1).reshape(-1, 1, 3)).reshape(-1, 3)
-    lab[:, 0] *= LIGHT
+    lab[:, 0] *= LIGHTNESS
     return lab.astype(np.float32)
 
 
@@ -126,12 +127,12 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
     return np.array(found, np.float32).reshape(-1, 3)
 
 
-def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, chunks: int) -> tuple[np.ndarray, ...]:
+def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, threads: int) -> tuple[np.ndarray, ...]:
     """Return where the rays of pixels end, as weighted means of their samples: x [n, 3] in the cube, and alpha [n]."""
     origins, directions = camera.rays(pixels)
-    s = field.march(Rays.of(origins, directions, field.space.near), 512, 1e-3, chunks)
+    s = field.march(Rays.of(origins, directions, field.space.near), SAMPLES_PER_RAY, 1e-3, threads)
     out = np.empty((len(pixels), 6), np.float32)
-    ends_inside(np.ones(1, bool), 1, s.shading_points(), s.t, chunks, out)  # one cell: the whole cube
+    ends_inside(np.ones(1, bool), 1, s.shading_points(), s.t, threads, out)  # one cell: the whole cube
     return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]
 
 
@@ -154,7 +155,7 @@ def centers_of(cells: int) -> np.ndarray:
 
 
 def shown_by_masks(
-    field: RadianceField, cameras: list[Camera], masks: list[np.ndarray], cells: int, chunks: int
+    field: RadianceField, cameras: list[Camera], masks: list[np.ndarray], cells: int, threads: int
 ) -> np.ndarray:
     """Mark cells that are, where views see them, more than half inside the masks; [cells, cells, cells] bool.
 
@@ -163,12 +164,12 @@ def shown_by_masks(
     sums = np.zeros((cells**3, 2), np.float32)
     for camera, mask in zip(cameras, masks, strict=True):
         values = np.ascontiguousarray(mask.reshape(-1, 1), np.float32)
-        for part, samples in march_view(field, camera, chunks):
+        for part, samples in march_view(field, camera, threads):
             add_to_cells(values[part], cells, samples.shading_points(), sums)
     return ((sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])).reshape((cells,) * 3)
 
 
-def claimed(looks: Iterable[Look], marked: np.ndarray, chunks: int) -> np.ndarray:
+def claimed(looks: Iterable[Look], marked: np.ndarray, threads: int) -> np.ndarray:
     """Extend marked cells [s, s, s] by neighbors that the views see as part of the same surface.
 
     A soft surface extends in front of and behind the cells that growing found, where colors are mixed with what is
@@ -178,7 +179,7 @@ def claimed(looks: Iterable[Look], marked: np.ndarray, chunks: int) -> np.ndarra
     cells = marked.shape[0]
     sums = np.zeros((cells**3, 2), np.float32)
     for look in looks:
-        look.add(look.share_inside(marked, chunks), cells, sums)
+        look.add(look.share_inside(marked, threads), cells, sums)
     known = (sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])
     return marked | (known.reshape(marked.shape) & binary_dilation(marked, EVERYWHERE, iterations=CLAIM_REACH))
 

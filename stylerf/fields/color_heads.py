@@ -16,11 +16,11 @@ class Packed:
     """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
 
     def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, threads: int) -> None:
-        counts, least = np.empty(len(ends), np.int64), np.float32(bound)
-        count_marked(marks, least, starts, ends, threads, counts)
+        counts, bound32 = np.empty(len(ends), np.int64), np.float32(bound)
+        count_marked(marks, bound32, starts, ends, threads, counts)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.index, self.ray = np.empty(offsets[-1], np.int64), np.empty(offsets[-1], np.int64)
-        pack_marked(marks, least, starts, ends, offsets, threads, self.index, self.ray)
+        pack_marked(marks, bound32, starts, ends, offsets, threads, self.index, self.ray)
 
     @classmethod
     def weighted(cls, points: ShadingPoints, threads: int) -> "Packed":

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.marching import displacement_arrays, occupancy_arrays, space_arrays
+from stylerf.fields.marching import SAMPLES_PER_RAY, displacement_arrays, occupancy_arrays, space_arrays
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.protocol import ColorPart, DensityPart
 from stylerf.fields.radiance_field import RadianceField
@@ -140,7 +140,7 @@ def seen_cells(field: RadianceField, rays: Rays, cells: int, weight_threshold: f
     """
     seen = np.zeros((cells,) * 3, np.bool_)
     for at in range(0, len(rays.origins), 8192):
-        samples = field.march(Rays(*(array[at : at + 8192] for array in rays)), 512, 1e-3, threads)
+        samples = field.march(Rays(*(array[at : at + 8192] for array in rays)), SAMPLES_PER_RAY, 1e-3, threads)
         visible = np.empty_like(samples.weights)
         visible_weights(samples, np.float32(weight_threshold), threads, visible)
         mark_cells(samples.shading_points(visible), cells + 1, seen)

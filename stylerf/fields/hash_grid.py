@@ -206,9 +206,6 @@ class HashFeatures(TableFeatures):
         """Create features of a capacity; the degree of the color's harmonics does not change them."""
         return cls(levels_of(capacity, ROW))
 
-    def initial(self, generator: np.random.Generator) -> np.ndarray:
-        return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
-
     def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["HashFeatures", np.ndarray]:
         """Return the same features at a larger capacity, and their table."""
         new = HashFeatures(levels_of(capacity, ROW))
@@ -263,8 +260,8 @@ class HashColor:
         kernels.color_backward(self.layout, self._shape, points, colors, color_gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        given = colors, color_gradients
-        kernels.color_position_gradient(self.values, self.layout, self._shape, points, *given, threads, out)
+        arguments = colors, color_gradients
+        kernels.color_position_gradient(self.values, self.layout, self._shape, points, *arguments, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].

@@ -13,6 +13,7 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Displacement, MarchSettings, Occupancy, Space
 
+SAMPLES_PER_RAY = 512  # at most
 NO_DISPLACEMENT = Displacement(np.empty(0, np.float32), 0)
 
 

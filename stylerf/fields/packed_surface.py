@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.color_heads import count_marked
@@ -96,7 +97,7 @@ def surface_of(
     for at in range(0, len(origins), RAYS_AT_ONCE):
         part = slice(at, at + RAYS_AT_ONCE)
         rays = Rays.of(origins[part], directions[part], field.space.near)
-        samples = field.march(rays, 512, min_transmittance, threads)
+        samples = field.march(rays, SAMPLES_PER_RAY, min_transmittance, threads)
         visible, count = np.empty_like(samples.weights), np.empty(len(samples.ends), np.int64)
         visible_weights(samples, np.float32(weight_threshold), threads, visible)
         count_marked(visible.reshape(-1, 1), np.float32(0), samples.starts, samples.ends, threads, count)

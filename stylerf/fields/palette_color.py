@@ -181,8 +181,8 @@ class PaletteColor:
         parts, palette = self.parts(rest, phi, basis)
         if not self.edits:
             return (parts.mixed(palette) + parts.specular).clamp(0, 1)
-        given = parts.weights, parts.offsets, parts.intensity, parts.specular
-        return recolored(*given, palette, self.edits, x).clamp(0, 1)
+        mixture = parts.weights, parts.offsets, parts.intensity, parts.specular
+        return recolored(*mixture, palette, self.edits, x).clamp(0, 1)
 
     @torch.no_grad()
     def colors(

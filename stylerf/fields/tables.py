@@ -69,6 +69,10 @@ class TableFeatures:
     def __init__(self, width: int, length: int, layout: np.ndarray, shape: tuple) -> None:
         self.width, self.length, self.layout, self._shape = width, length, layout, shape
 
+    def initial(self, generator: np.random.Generator) -> np.ndarray:
+        """Return random values of a table, small ones of either sign."""
+        return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
+
     def encode(
         self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int, out: np.ndarray | None = None
     ) -> np.ndarray:

@@ -253,8 +253,8 @@ class VmColor:
         kernels.color_backward(self._parameters, self._ranks, points, basis, colors, color_gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        given = points, basis, colors, color_gradients
-        kernels.color_position_gradient(self._parameters, self._ranks, *given, threads, out)
+        arguments = points, basis, colors, color_gradients
+        kernels.color_position_gradient(self._parameters, self._ranks, *arguments, threads, out)
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         kernels.smoothness_backward(self.table, self.size, self._ranks, np.float32(strength / len(self.table)), to)

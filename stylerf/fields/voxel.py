@@ -154,9 +154,6 @@ class VoxelFeatures(TableFeatures):
     def of(cls, capacity: Capacity, degree: int) -> "VoxelFeatures":
         return cls(Grid.of(capacity), 3 * BANDS[degree])
 
-    def initial(self, generator: np.random.Generator) -> np.ndarray:
-        return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
-
     def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["VoxelFeatures", np.ndarray]:
         """Return the same features interpolated to another grid, and their table."""
         new = VoxelFeatures(Grid.of(capacity), self.width)

@@ -12,7 +12,7 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.validation import LARGEST
 
-LEAST_FOCAL = 1e-3  # pixels
+MIN_FOCAL = 1e-3  # pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,10 @@ class Camera:
             raise InvalidValue(f"camera {self.name}: focal length {self.fx:g} x {self.fy:g} is not positive")
         # Rays are float32: beyond these limits their origins or directions would overflow.
         far = max(abs(self.cx), abs(self.cy), self.fx, self.fy, np.abs(pose[:3, 3]).max())
-        if far > LARGEST or min(self.fx, self.fy) < LEAST_FOCAL:
+        if far > LARGEST or min(self.fx, self.fy) < MIN_FOCAL:
             raise InvalidValue(
                 f"camera {self.name}: its position, focal length or principal point exceeds {LARGEST:g}, or its focal "
-                f"length is under {LEAST_FOCAL:g} pixels"
+                f"length is under {MIN_FOCAL:g} pixels"
             )
         if self.width < 1 or self.height < 1:
             raise InvalidValue(f"camera {self.name}: size {self.width}x{self.height} is empty")
@@ -152,3 +152,8 @@ def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
     rays = point - centers
     rays = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-300)
     return float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Return the numbers of up to `most` of `count` views, evenly spaced from the first to the last."""
+    return [int(view) for view in np.unique(np.linspace(0, count - 1, min(count, most)).round())]

@@ -20,7 +20,7 @@ UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
 # precision, in which many tools store poses. At the origin: rounding of rotations in double precision.
 ONE_POINT, ONE_POINT_AT_ORIGIN = 2.4e-7, 1e-12
 # Smallest baseline relative to the nearest depth: 0.01 pixels of parallax at a focal length of 1,000 pixels.
-LEAST_PARALLAX = 1e-5
+MIN_PARALLAX = 1e-5
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def baseline_of(poses: np.ndarray) -> float:
 def check_baseline(poses: np.ndarray, near_far: np.ndarray | None, points: np.ndarray | None) -> None:
     """Raise InvalidValue if the cameras are at one point, exactly or relative to the nearest depth."""
     baseline, (nearest, known) = baseline_of(poses), nearest_depth(poses, near_far, points)
-    if baseline < LEAST_PARALLAX * nearest:
+    if baseline < MIN_PARALLAX * nearest:
         raise InvalidValue(
             f"all cameras are at one point: within {baseline:.3g}, while the nearest depth is {nearest:.3g} by {known}"
         )

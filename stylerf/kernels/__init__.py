@@ -24,8 +24,8 @@ def kernel_cache_dir() -> Path:
 
     It is in $NUMBA_CACHE_DIR, else in $STYLERF_CACHE/kernels, else in the user's cache folder.
     """
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        folder = Path(given)
+    if configured := os.environ.get("NUMBA_CACHE_DIR"):
+        folder = Path(configured)
         # A child process inherits the whole path.
         return (folder.parent if _NAME.fullmatch(folder.name) else folder) / _name()
     if root := os.environ.get("STYLERF_CACHE"):
@@ -75,14 +75,14 @@ if not_kept := refusal(_folder):
     _folder = _private() / _folder.name
 os.environ["NUMBA_CACHE_DIR"] = str(_folder)
 # Triton's cache is beside numba's unless the user has chosen another place; Triton hashes all sources by itself.
-if given := os.environ.get("TRITON_CACHE_DIR"):
-    _triton = Path(given)
-elif given := os.environ.get("TRITON_HOME"):
-    _triton = Path(given) / ".triton" / "cache"
+if configured := os.environ.get("TRITON_CACHE_DIR"):
+    _triton = Path(configured)
+elif configured := os.environ.get("TRITON_HOME"):
+    _triton = Path(configured) / ".triton" / "cache"
 else:
     _triton = _folder.parent / f"triton-{user_id()}"
     os.environ["TRITON_CACHE_DIR"] = str(_triton)
-triton_not_kept = refusal(_triton) if _triton.exists() or not given else None
+triton_not_kept = refusal(_triton) if _triton.exists() or not configured else None
 if triton_not_kept:
     os.environ["TRITON_CACHE_DIR"] = str(_private() / "triton")
 # numba would read .numba_config.yaml from the current folder, at its import and again before it compiles; that file may

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from stylerf.fields.deformation import displacement_gradient, position_gradients
-from stylerf.fields.marching import ScratchArena, empty_array
+from stylerf.fields.marching import SAMPLES_PER_RAY, ScratchArena, empty_array
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import (
@@ -19,8 +19,6 @@ from stylerf.kernels.cpu.compositing import (
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.regions import weights_inside, zero_outside
-
-SAMPLES_PER_RAY = 512
 
 
 @dataclass
@@ -139,9 +137,9 @@ def backward(
         displacement_gradient(field.space, rendered.rays, samples, at_positions, vertices, displacement_to)
 
 
-def alpha_inside(marked: np.ndarray, samples: Samples, chunks: int) -> np.ndarray:
+def alpha_inside(marked: np.ndarray, samples: Samples, threads: int) -> np.ndarray:
     """Return the sum of each ray's weights over samples in marked cells [s, s, s], [rays] float32."""
     out = np.zeros(len(samples.ends), np.float32)
     flat = np.ascontiguousarray(marked).reshape(-1)
-    weights_inside(flat, marked.shape[0], samples.shading_points(), chunks, out)
+    weights_inside(flat, marked.shape[0], samples.shading_points(), threads, out)
     return out

@@ -108,8 +108,10 @@ class GpuRenderer:
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> RenderedView:
         """Render a view as render_view() in rendering/view.py does."""
-        given = {name: np.ascontiguousarray(cells) for name, cells in (regions or {}).items()}
-        marked = {name: torch.from_numpy(cells).to(self.device) for name, cells in given.items()}
+        marked = {
+            name: torch.from_numpy(np.ascontiguousarray(cells)).to(self.device)
+            for name, cells in (regions or {}).items()
+        }
         out, inside = self.pixels(camera, min_transmittance=min_transmittance, regions=marked, on_rays=on_rays)
         return view_of(camera, out.cpu().numpy(), {name: mask.cpu().numpy() for name, mask in inside.items()})
 

@@ -34,10 +34,10 @@ def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Ten
     return mean, (weights[:, None] * centered).T @ centered / total
 
 
-def symmetric_power(covariance: Tensor, exponent: float, least: float = VARIANCE_FLOOR) -> Tensor:
-    """Return V^exponent of a symmetric matrix, with eigenvalues clamped to at least `least`."""
+def symmetric_power(covariance: Tensor, exponent: float, floor: float = VARIANCE_FLOOR) -> Tensor:
+    """Return V^exponent of a symmetric matrix, with eigenvalues clamped to at least `floor`."""
     values, vectors = torch.linalg.eigh(covariance)
-    return (vectors * values.clamp_min(least).pow(exponent)) @ vectors.T
+    return (vectors * values.clamp_min(floor).pow(exponent)) @ vectors.T
 
 
 def match_colors(

@@ -311,7 +311,7 @@ class TransportObjective(StyleObjective):
         return distances.mean() if chosen is None else (distances * chosen).sum() / chosen.sum()
 
 
-def window_of(alpha: np.ndarray, least: int = 0) -> Window:
+def window_of(alpha: np.ndarray, min_side: int = 0) -> Window:
     """Return the part of a view [h, w] that the object fills, plus a margin of 1/16 of the longer side and 8 pixels.
 
     Background costs the feature extractor as much as the object, for nothing. The margin allows for moving geometry and
@@ -320,7 +320,7 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
 
     Args:
         alpha: [h, w].
-        least: Smallest side of the window, if the view is as large.
+        min_side: Smallest side of the window, if the view is as large.
     """
     margin = round(max(alpha.shape) / 16) + 8
     sides = []
@@ -328,11 +328,11 @@ def window_of(alpha: np.ndarray, least: int = 0) -> Window:
         seen = np.flatnonzero((alpha > 0.01).any(axis))
         if len(seen) == 0:
             return EVERYTHING
-        wide = max(margin, -(-(least - (seen[-1] + 1 - seen[0])) // 2))
+        wide = max(margin, -(-(min_side - (seen[-1] + 1 - seen[0])) // 2))
         first, last = max(0, seen[0] - wide) // 8 * 8, min(length, -(-(seen[-1] + 1 + wide) // 8) * 8)
         # A window at the border grows inwards.
-        first = max(0, min(first, last - least))
-        last = min(length, max(last, first + least))
+        first = max(0, min(first, last - min_side))
+        last = min(length, max(last, first + min_side))
         sides.append(slice(int(first), int(last)))
     return sides[0], sides[1]
 

@@ -22,10 +22,10 @@ WITHIN = "refnpr"  # the only method for whole scenes that also stylizes a regio
 
 def options_for(argv: list[str]) -> type:
     """Return the config for this use: each method, a region and a palette have their own options."""
-    given = [(flag, value) for one in argv for flag, equals, value in [one.partition("=")] if equals] + [
+    pairs = [(flag, value) for one in argv for flag, equals, value in [one.partition("=")] if equals] + [
         *pairwise(argv)
     ]
-    method = next((value for flag, value in given if flag == "--method"), "")
+    method = next((value for flag, value in pairs if flag == "--method"), "")
     if any(one.partition("=")[0] == "--region" for one in argv):
         if method not in ("", WITHIN):
             raise UsageError(
@@ -33,7 +33,7 @@ def options_for(argv: list[str]) -> type:
                 "or none (LAENeRF)"
             )
         return METHOD_CONFIGS[method] if method else RegionConfig
-    table = _table_of(next((value for flag, value in given if flag == "--config"), ""))
+    table = _table_of(next((value for flag, value in pairs if flag == "--config"), ""))
     method = method or str(table.get("method", ArfConfig.method))
     if method in METHOD_CONFIGS:
         flags = [one.partition("=")[0].removeprefix("--").removeprefix("no-") for one in argv if one.startswith("--")]

@@ -271,9 +271,9 @@ def _not_finite(data: bytes) -> bool:
 def alone(name: str) -> Callable[[Path], object]:
     """Readers that no single command isolates."""
     if name == "painting":
-        from stages.artifacts.style_images import read_painting
+        from stages.artifacts.style_images import read_style_image
 
-        return read_painting
+        return read_style_image
     if name == "flow":
         from schemas.flow_files import read_flow
 

@@ -244,7 +244,7 @@ def test_an_image_over_the_memory_limit_is_refused_before_decoding(tmp_path, mon
     paths = [store(tmp_path / f"a.{suffix}", np.zeros((900, 1000, 3), np.uint8)) for suffix in ("png", "jp2", "webp")]
     for path in paths:
         assert read_image(path).size == (1000, 900)
-    monkeypatch.setattr(safe_reading, "LEAST", 0)
+    monkeypatch.setattr(safe_reading, "MIN_ALLOWANCE", 0)
     safe_reading.set_allowance(lambda: 10_000_000)  # 900 x 1000 x 3 x 4 bytes are 10.8 MB
     try:
         for path in paths:

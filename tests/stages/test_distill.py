@@ -19,7 +19,7 @@ GREEN = np.float32([0.1, 0.9, 0.2])
 class Green:
     """A palette module of one color."""
 
-    def colors(self, x, directions, changes, fading, chunks):
+    def colors(self, x, directions, changes, fading, threads):
         return np.tile(GREEN, (len(x), 1))
 
 

@@ -9,7 +9,7 @@ from schemas.errors import BadInput
 from stages import region_select
 from stages.configs.select import SelectConfig
 from stylerf.editing.edit_grid import Region
-from stylerf.editing.selection import halved_light
+from stylerf.editing.selection import halved_lightness
 from stylerf.geometry.space_warp import SpaceWarp
 
 CELLS = 16
@@ -37,13 +37,13 @@ def test_a_seed_in_an_unseen_cell_takes_the_color_of_its_pixel():
     red, blue = np.float32([0.9, 0.1, 0.1]), np.float32([0.1, 0.1, 0.8])
     known, lab = np.zeros((CELLS,) * 3, bool), np.full((CELLS, CELLS, CELLS, 3), np.nan, np.float32)
     known[2, 2, 2] = True
-    lab[2, 2, 2] = halved_light(red[None])
+    lab[2, 2, 2] = halved_lightness(red[None])
     photos = [np.tile(np.float32([0.5, 0.5, 0.5]), (4, 4, 1)), np.tile(blue, (4, 4, 1))]
     scene = SimpleNamespace(images=photos.__getitem__)
     here = looking(seen=SimpleNamespace(known=known, lab=lab), scene=scene, level=0.0)
     points = np.array([[2.5, 2.5, 2.5], [9.5, 2.5, 2.5]]) / CELLS
     found = region_select.Seeds(points, np.array([0, 1]), np.array([3, 7])).lab(here)
-    np.testing.assert_allclose(found, halved_light(np.stack([red, blue])), atol=1e-4)
+    np.testing.assert_allclose(found, halved_lightness(np.stack([red, blue])), atol=1e-4)
 
 
 @pytest.mark.parametrize("order", [("union.a", "subtract.b"), ("subtract.b", "union.a")])
@@ -53,8 +53,8 @@ def test_regions_of_other_sizes_are_refused_by_both_names(order):
 
     others = {"union.a": region(4), "subtract.b": region(6)}
     with pytest.raises(BadInput, match="a 4") as reported:
-        region_select._given_cells(SelectConfig(union=("a",)), {role: others[role] for role in order})
+        region_select._fixed_cells(SelectConfig(union=("a",)), {role: others[role] for role in order})
     assert "b 6" in str(reported.value)
-    assert region_select._given_cells(SelectConfig(union=("a",)), {"union.a": region(4)}) == 4
+    assert region_select._fixed_cells(SelectConfig(union=("a",)), {"union.a": region(4)}) == 4
     with pytest.raises(BadInput, match="--cells 16"):
-        region_select._given_cells(SelectConfig(union=("a",), cells=16), {"union.a": region(4)})
+        region_select._fixed_cells(SelectConfig(union=("a",), cells=16), {"union.a": region(4)})

@@ -57,7 +57,7 @@ def paintings(tmp_path):
         ("cut.png", "cannot be read whole"),
         ("cut.jpg", "cannot be read whole"),
         ("nan.exr", "holds NaN"),
-        ("narrow.png", "is 3x64; a painting of at least 16 pixels a side is needed"),
+        ("narrow.png", "is 3x64; a style image of at least 16 pixels a side is needed"),
     ],
 )
 def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, name, words):

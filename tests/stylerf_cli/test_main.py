@@ -242,9 +242,7 @@ def test_ctrl_c_and_termination_end_with_130_and_the_same_command_resumes(tmp_pa
     out, err = child.communicate(timeout=10)
     assert time.monotonic() - requested < 5
     assert (child.returncode, out) == (130, "")
-    assert err.splitlines()[-1] == (
-        f"stylerf: error: interrupted; rerun to resume: stylerf {' '.join(arguments)}"
-    )
+    assert err.splitlines()[-1] == (f"stylerf: error: interrupted; rerun to resume: stylerf {' '.join(arguments)}")
     done = command(*arguments)
     assert done.returncode == 0 and "resuming the interrupted toy of fox" in done.stderr
 

@@ -191,7 +191,7 @@ def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, ca
     kept = str(tmp_path / "fits.json")  # of fits: whatever weights there are, they compare
     assert main(["stress", str(folder), *fits, "--write-baseline", kept]) == 0
     assert "features" not in (folder / "stress" / "stress.html").read_text()
-    monkeypatch.setattr(trials.resolve, "found_trunk", lambda: "yet-another")
+    monkeypatch.setattr(trials.resolve, "found_extractor", lambda: "yet-another")
     assert main(["stress", str(folder), *fits, "--baseline", kept]) == 0
     assert main(["stress", str(folder), *fits, "--baseline", baseline]) == 0
     monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS, GpuPart
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField, layers_of
@@ -82,22 +83,22 @@ class GpuField:
             self.opaque_background, self.displacement, self.vertices, samples_per_ray, min_transmittance,
         )  # fmt: skip
 
-    def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, room: int | None) -> GpuSamples:
-        """March rays to samples with density and weights; room: most samples, None: as many as there are (waits)."""
+    def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, capacity: int | None) -> GpuSamples:
+        """March rays to samples with density and weights; capacity: most samples; None: all (waits)."""
         inputs = self.march_inputs(samples_per_ray, min_transmittance)
-        return launch.march_density(inputs, self.density, rays, room)
+        return launch.march_density(inputs, self.density, rays, capacity)
 
     def render_rays(
         self,
         rays: GpuRays,
         *,
-        room: int | None = None,
+        capacity: int | None = None,
         min_transmittance: float = 1e-3,
         weight_threshold: float = 2e-2,
-        samples_per_ray: int = 512,
+        samples_per_ray: int = SAMPLES_PER_RAY,
     ) -> GpuRendered:
-        """Render rays as render_rays() in rendering/rays.py does; room: as march() takes it."""
-        samples = self.march(rays, samples_per_ray, min_transmittance, room)
+        """Render rays as render_rays() in rendering/rays.py does; capacity: as march() takes it."""
+        samples = self.march(rays, samples_per_ray, min_transmittance, capacity)
         colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
         unmapped = launch.composite(samples, colors)
         out = unmapped

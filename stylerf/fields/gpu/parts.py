@@ -50,8 +50,8 @@ class GpuPlanes:
         begin, strength = 0, strength / (count or self.length)
         for a, b in ((1, 2), (2, 0), (0, 1)):
             rows, columns = self.size[a], self.size[b]
-            given = values, to, strength, rows, columns, begin
-            over(vm.smoothness_kernel, rows * columns, SAMPLES, *given, RANK=self.rank, WIDTH=self.width)
+            arguments = values, to, strength, rows, columns, begin
+            over(vm.smoothness_kernel, rows * columns, SAMPLES, *arguments, RANK=self.rank, WIDTH=self.width)
             begin += rows * columns
 
 
@@ -75,8 +75,8 @@ class GpuHashLevels:
             first, end = self._firsts[level : level + 2]
             if self._direct[level]:
                 vertices = self._cells[level] + 1
-                given = values, to, strength, vertices, int(first)
-                over(hash_levels.smoothness_kernel, vertices**3 * self._row, POINTS, *given, ROW=self._row)
+                arguments = values, to, strength, vertices, int(first)
+                over(hash_levels.smoothness_kernel, vertices**3 * self._row, POINTS, *arguments, ROW=self._row)
             else:
                 to[first:end].add_(values[first:end], alpha=strength)
 
@@ -97,8 +97,8 @@ class GpuVoxelGrid:
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
         """See VoxelDensity.smooth in fields/voxel.py; to: [length or more]."""
         rows = 64 * len(self.places)
-        given = values, self.layout, self.places, to, strength / self.length, rows, *self.size
-        over(voxel.smoothness_kernel, rows, SAMPLES, *given, ROW=self.rank, WIDTH=self.width)
+        arguments = values, self.layout, self.places, to, strength / self.length, rows, *self.size
+        over(voxel.smoothness_kernel, rows, SAMPLES, *arguments, ROW=self.rank, WIDTH=self.width)
 
 
 GpuTable = GpuPlanes | GpuHashLevels | GpuVoxelGrid
@@ -141,8 +141,8 @@ class GpuDensity(GpuPart):
     def sigma(self, points: Tensor) -> Tensor:
         """Raw density [n] of cube points [n, 3]."""
         out, n = torch.empty(len(points), device=points.device), len(points)
-        given = self.table, self.layout, self.shift, points, out, n, *self.size
-        over(tables.density_kernel, n, POINTS, *given, DENSITY=self.code, RANK=self.rank, WIDTH=self.width)
+        arguments = self.table, self.layout, self.shift, points, out, n, *self.size
+        over(tables.density_kernel, n, POINTS, *arguments, DENSITY=self.code, RANK=self.rank, WIDTH=self.width)
         return out
 
     def backward(self, samples: GpuSamples, sigma_gradients: Tensor, to: Tensor) -> None:
@@ -154,7 +154,7 @@ class GpuDensity(GpuPart):
         )  # fmt: skip
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        """Add dL/dx to out [room, 3], x the samples' positions in the cube; only for kinds with `moves`."""
+        """Add dL/dx to out [capacity, 3], x the samples' positions in the cube; only for kinds with `moves`."""
         s = samples
         over_samples(
             deformation.density_position_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total,
@@ -187,7 +187,7 @@ class GpuColor(GpuPart):
         """Color the samples of at least weight_threshold times their ray's largest weight.
 
         Returns:
-            [room, 3] in 0..1; -1 in the first channel of all other samples.
+            [capacity, 3] in 0..1; -1 in the first channel of all other samples.
         """
         raise NotImplementedError
 
@@ -196,7 +196,7 @@ class GpuColor(GpuPart):
         raise NotImplementedError
 
     def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
-        """Add dL/dx to out [room, 3]."""
+        """Add dL/dx to out [capacity, 3]."""
         raise NotImplementedError
 
 
@@ -222,7 +222,7 @@ class GpuEncodedColor(GpuColor):
         self.numbers = numbers if len(numbers) else self.values  # the harmonic head has none, but needs a pointer
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
+        s, out = samples, torch.empty((samples.capacity, 3), device=samples.x.device)
         over_samples(
             color_heads.color_kernel, s, self.table, self.layout, self.numbers, s.x, directions, s.ray_of, s.weights,
             s.largest, float(weight_threshold), s.total, out, *self.size, HEAD=HEADS[self.head][0], **self._constants,
@@ -269,18 +269,18 @@ class GpuHashColor(GpuColor):
         self.table = self.values.half() if half else self.values
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        s, out = samples, torch.empty((samples.room, 3), device=samples.x.device)
-        given = s.x, s.ray_of, s.weights, s.largest, float(weight_threshold), s.total, out
-        over_samples(hash_color.color_kernel, s, self.table, self.layout, *given, LEVELS=self.levels)
+        s, out = samples, torch.empty((samples.capacity, 3), device=samples.x.device)
+        arguments = s.x, s.ray_of, s.weights, s.largest, float(weight_threshold), s.total, out
+        over_samples(hash_color.color_kernel, s, self.table, self.layout, *arguments, LEVELS=self.levels)
         return out
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
-        given = samples.x, colors, color_gradients, samples.total, to
-        over_samples(hash_color.color_backward_kernel, samples, self.layout, *given, LEVELS=self.levels)
+        arguments = samples.x, colors, color_gradients, samples.total, to
+        over_samples(hash_color.color_backward_kernel, samples, self.layout, *arguments, LEVELS=self.levels)
 
     def add_position_gradients(self, samples: GpuSamples, directions, colors, color_gradients, out: Tensor) -> None:
-        given = self.table, self.layout, samples.x, colors, color_gradients, samples.total, out
-        over_samples(deformation.hash_color_position_kernel, samples, *given, LEVELS=self.levels)
+        arguments = self.table, self.layout, samples.x, colors, color_gradients, samples.total, out
+        over_samples(deformation.hash_color_position_kernel, samples, *arguments, LEVELS=self.levels)
 
     def smooth(self, strength: float, to: Tensor) -> None:
         """See HashColor.smooth."""
@@ -304,14 +304,14 @@ class GpuRegionColor(GpuHashColor):
         return out
 
     def add_logits(self, samples: GpuSamples, colors: Tensor) -> None:
-        """Add the region's logits to the base's colors [room, 3], in place."""
-        given = self.table, self.layout, self.marked, self.cells, self.box, samples.x, samples.total, colors
-        over_samples(regions.color_kernel, samples, *given, LEVELS=self.levels)
+        """Add the region's logits to the base's colors [capacity, 3], in place."""
+        arguments = self.table, self.layout, self.marked, self.cells, self.box, samples.x, samples.total, colors
+        over_samples(regions.color_kernel, samples, *arguments, LEVELS=self.levels)
 
     def backward(self, samples: GpuSamples, directions, colors, color_gradients, to: Tensor) -> None:
         s = samples
-        given = self.layout, self.marked, self.cells, self.box, s.x, colors, color_gradients, s.total, to
-        over_samples(regions.color_backward_kernel, s, *given, LEVELS=self.levels)
+        arguments = self.layout, self.marked, self.cells, self.box, s.x, colors, color_gradients, s.total, to
+        over_samples(regions.color_backward_kernel, s, *arguments, LEVELS=self.levels)
 
 
 DENSITY_KINDS: dict[str, type[GpuDensity]] = {"vm": GpuVmDensity, "hash": GpuHashDensity, "voxel": GpuDensity}

@@ -6,6 +6,7 @@ compute and store runs of LANES elements as one vector, with the roundings of th
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -81,17 +82,39 @@ def adam_run(typing, values, gradients, first, second, i, at, rate, beta1, beta2
     return types.void(values, gradients, first, second, INDEX, INDEX, *[SCALAR] * 5), generate
 
 
-@parallel_kernel
-def adam(values, gradients, first, second, rate, beta1, beta2, epsilon, correction1, correction2, begin, end, blocks):
-    """One Adam step on values[begin:end]; gradients [threads, n] are summed and set to zero.
+class AdamState(NamedTuple):
+    """A table and what its optimizer keeps: values and both moments [n], gradients [threads, n], float32."""
 
-    correction1 = 1 - beta1^t, correction2 = 1 - beta2^t. Runs of eight elements without any gradient are
-    skipped, moments too (as torch.optim.SparseAdam does): a batch of rays touches a small part of a table.
+    values: np.ndarray
+    gradients: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
+class AdamRates(NamedTuple):
+    """Numbers of step t: correction1 = 1 - beta1^t, correction2 = 1 - beta2^t."""
+
+    rate: float
+    beta1: float
+    beta2: float
+    epsilon: float
+    correction1: float
+    correction2: float
+
+
+@parallel_kernel
+def adam(state, rates, begin, end, blocks):
+    """One Adam step on values[begin:end]; gradients are summed over threads and set to zero. rates: float32.
+
+    Runs of eight elements without any gradient are skipped, moments too (as torch.optim.SparseAdam does): a batch of
+    rays touches a small part of a table.
     """
+    values, gradients, first, second = state.values, state.gradients, state.first, state.second
+    beta1, beta2, epsilon = rates.beta1, rates.beta2, rates.epsilon
     threads, stride = gradients.shape
     flat = gradients.reshape(-1)
     runs = (end - begin) // LANES
-    step, root = rate / correction1, _ONE / np.float32(math.sqrt(correction2))
+    step, root = rates.rate / rates.correction1, _ONE / np.float32(math.sqrt(rates.correction2))
     for b in prange(blocks):
         for run in range(b * runs // blocks, (b + 1) * runs // blocks):
             at = begin + run * LANES

@@ -19,7 +19,7 @@ OPTICAL_SCALE = np.float32(100.0)
 # Of raw density: exp(12) is opaque within any step, exp(-15) transparent across the cube, and float32 holds both.
 EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
 _ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
-_TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
+TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
 
 
 @inline
@@ -87,7 +87,7 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
             speed = np.float32(0.25) * max(abs(vx), abs(vy), abs(vz))
     for a in range(3):
         out[a] = min(max(_ZERO, out[a]), _ONE)  # in this order NaN becomes 0, a valid index of a cell
-    return max(_TINY, speed), jacobian
+    return max(TINY, speed), jacobian
 
 
 @inline
@@ -105,7 +105,7 @@ def ray_span(space, ox, oy, oz, dx, dy, dz, near):
             p = (o - numbers[a]) * numbers[3 + a]
             v = d * numbers[3 + a]
             # Parallel to these two faces: -p / v would be NaN on one of them.
-            if abs(v) < _TINY:
+            if abs(v) < TINY:
                 if p < _ZERO or p > _ONE:
                     return _ONE, _ZERO
             else:

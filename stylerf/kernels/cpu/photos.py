@@ -1,6 +1,7 @@
 """Kernels on photos: rays of their pixels, resampling, and the cells of space that their masks rule out."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import prange
@@ -11,17 +12,36 @@ _ONE = np.float32(1)
 _BYTE = np.float32(1.0 / 255.0)
 
 
-@parallel_kernel
-def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, codes, origins, directions, colors):
-    """Fill ray r from pixel pixels[r] (row-major) of view views[r]: rays are never stored.
+class Photos(NamedTuple):
+    """8-bit photos, one after another, and their cameras.
 
-    Args:
+    Attributes:
+        values: [sum of h w channels] uint8.
+        channels: 3 or 4 (straight alpha).
+        starts: [views], offset of a view's first byte in `values`.
+        widths: [views], pixels.
         intrinsics: [views, 4], fx fy cx cy, pixels.
         poses: [views, 3, 4], world from camera (OpenCV axes).
-        starts: [views], offset of a view's first byte in bytes_.
         codes: [views, 256], the color that a byte of a view stands for.
-        colors: [rays, 4], written: rgb and alpha 0..1 (alpha 1 for images of three channels).
     """
+
+    values: np.ndarray
+    channels: int
+    starts: np.ndarray
+    widths: np.ndarray
+    intrinsics: np.ndarray
+    poses: np.ndarray
+    codes: np.ndarray
+
+
+@parallel_kernel
+def gather(photos, views, pixels, origins, directions, colors):
+    """Fill ray r from pixel pixels[r] (row-major) of view views[r]: rays are never stored.
+
+    colors: [rays, 4], written: rgb and alpha 0..1 (alpha 1 for images of three channels).
+    """
+    values, channels, starts, widths = photos.values, photos.channels, photos.starts, photos.widths
+    intrinsics, poses, codes = photos.intrinsics, photos.poses, photos.codes
     for r in prange(len(views)):
         v = views[r]
         i = pixels[r] % widths[v]
@@ -34,8 +54,8 @@ def gather(views, pixels, widths, intrinsics, poses, starts, bytes_, channels, c
             origins[r, a] = poses[v, a, 3]
         at = starts[v] + pixels[r] * channels
         for a in range(3):
-            colors[r, a] = codes[v, bytes_[at + a]]
-        colors[r, 3] = np.float32(bytes_[at + 3]) * _BYTE if channels == 4 else _ONE
+            colors[r, a] = codes[v, values[at + a]]
+        colors[r, 3] = np.float32(values[at + 3]) * _BYTE if channels == 4 else _ONE
 
 
 @inline

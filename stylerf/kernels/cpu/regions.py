@@ -6,6 +6,8 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
+# Of the base's odds, both ways: nothing could move a logit of infinity, and white and black can be repainted too.
+MIN_ODDS = np.float32(1e-4)
 
 
 @inline
@@ -70,8 +72,8 @@ def ends_inside(marked, cells, points, t, threads, out):
 
 
 @parallel_kernel
-def mark_cells(samples, cells, least, threads, marked):
-    """Set marked[cell] = 1 for the cells of samples that weigh at least `least`; marked: [cells^3] uint8.
+def mark_cells(samples, cells, min_weight, threads, marked):
+    """Set marked[cell] = 1 for the cells of samples that weigh at least `min_weight`; marked: [cells^3] uint8.
 
     The opaque background (delta 0) is in no cell. Threads may mark the same cell: they all write 1.
     """
@@ -80,7 +82,7 @@ def mark_cells(samples, cells, least, threads, marked):
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                if weights[k] >= least and deltas[k] > _ZERO:
+                if weights[k] >= min_weight and deltas[k] > _ZERO:
                     marked[cell_of(x, k, cells)] = np.uint8(1)
 
 
@@ -129,8 +131,7 @@ def add_logits(own, starts, ends, threads, out):
             for k in range(starts[r], ends[r]):
                 if own[k, 0] >= _ZERO and out[k, 0] >= _ZERO:
                     for j in range(3):
-                        # Clamped, since nothing could move a logit of infinity: white and black can be repainted too.
-                        base = min(max(out[k, j], np.float32(1e-4)), np.float32(1 - 1e-4))
+                        base = min(max(out[k, j], MIN_ODDS), _ONE - MIN_ODDS)
                         both = base * own[k, j]
                         # sigmoid(logit(p) + logit(q)) = p q / (p q + (1 - p)(1 - q)), without logarithms.
                         out[k, j] = both / (both + (_ONE - base) * (_ONE - own[k, j]))

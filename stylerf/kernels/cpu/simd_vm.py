@@ -240,8 +240,8 @@ def vm_projected_backward(typing, table, place0, place1, place2, heads, g0, g1, 
             product.scatter(to_feature, target)
         return context.get_dummy_value()
 
-    given = table, place0, place1, place2, heads, SCALAR, SCALAR, SCALAR, head_gradients, buffer, INDEX, ranks
-    return types.void(*given), generate
+    arguments = table, place0, place1, place2, heads, SCALAR, SCALAR, SCALAR, head_gradients, buffer, INDEX, ranks
+    return types.void(*arguments), generate
 
 
 @intrinsic

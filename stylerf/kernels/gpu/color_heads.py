@@ -5,7 +5,7 @@
     mlp       sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); numbers, flat: W1 of the features [PIECES RANK, UNITS], W1 of
               the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3]
 
-Samples are walked as in tables.py; features never leave the registers. ENCODER, PIECES, RANK and WIDTH say what the
+Samples are visited as in tables.py; features never leave the registers. ENCODER, PIECES, RANK and WIDTH say what the
 features are. UNITS: of the hidden layer, a power of two; without one 3 BANDS rounded up to one, at least 16.
 """
 

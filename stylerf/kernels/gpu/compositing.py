@@ -3,9 +3,10 @@
 import triton
 import triton.language as tl
 
+from stylerf.kernels.cpu import compositing
 from stylerf.kernels.gpu.indexing import offset, store_vector, vector
 
-AROUND = tl.constexpr(0.05)  # as on the CPU
+SURFACE_REACH = tl.constexpr(float(compositing.SURFACE_REACH))
 
 
 @triton.jit
@@ -25,7 +26,7 @@ def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK:
     """
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
-    # All lanes walk as far as the program's longest ray; those whose ray has ended load zeros.
+    # All lanes march as far as the program's longest ray; those whose ray has ended load zeros.
     red, green, blue, depth, total, colored = zero, zero, zero, zero, zero, zero
     for i in range(0, tl.max(count, axis=0)):
         own = i < count
@@ -69,7 +70,7 @@ def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.const
     for i in range(0, longest):
         own = i < count
         there = tl.load(t + first + i, mask=own, other=0.0)
-        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * AROUND), other=0.0)
+        w = tl.load(weights + first + i, mask=own & (tl.abs(there - at) <= at * SURFACE_REACH), other=0.0)
         near += w
         depth += w * there
     tl.store(out + r, tl.where(near > 0.0, depth / tl.where(near > 0.0, near, 1.0), 0.0), mask=valid)
@@ -179,7 +180,7 @@ def distortion_backward_kernel(
 def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr):
     """dL/d(out) [rays, 5] of the squared error against straight rgba [rays, 4], both over a background [rays, 3].
 
-    scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that found no room (they teach nothing
+    scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that do not fit (they teach nothing
     and count for nothing).
     """
     r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
@@ -213,7 +214,7 @@ def tuning_loss_kernel(
     """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over gray `level`, times
     scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2.
 
-    sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that found no room.
+    sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that do not fit.
     """
     r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
     lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
@@ -225,8 +226,8 @@ def tuning_loss_kernel(
     of_alpha = 0.0 * alpha
     for a in tl.static_range(3):
         found = tl.load(out + offset(r, 5, a), mask=own, other=0.0) + (1.0 - alpha) * level
-        asked = tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover + (1.0 - cover) * level
-        difference = tl.where(own, found - asked, 0.0)
+        target = tl.load(wanted + offset(r, 4, a), mask=own, other=0.0) * cover + (1.0 - cover) * level
+        difference = tl.where(own, found - target, 0.0)
         error += difference * difference
         of_alpha -= difference * scale * level
         tl.store(gradients + offset(r, 5, a), difference * scale, mask=valid)

@@ -9,9 +9,10 @@ import torch
 import triton
 from torch import Tensor
 
+from stylerf.kernels.cpu.adam import AdamRates
 from stylerf.kernels.gpu import adam as optimizer
 from stylerf.kernels.gpu import compositing, deformation, hash_color, interpreted, march, pixel_rays, regions
-from stylerf.kernels.gpu.ray_samples import GpuMarchInputs, GpuRays, GpuSamples
+from stylerf.kernels.gpu.ray_samples import GpuAdamState, GpuMarchInputs, GpuPhotos, GpuRays, GpuSamples, RayDraw
 
 # Rays or samples per program. Marches diverge, so that few rays share a program; the interpreter pays per program.
 RAYS, SAMPLES, POINTS, RUNS = (256, 512, 1024, 4096) if interpreted() else (32, 64, 128, 128)
@@ -35,8 +36,8 @@ def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
 
 
 def over_samples(kernel: Any, samples: GpuSamples, *arguments: object, **constants: object) -> None:
-    """Launch a kernel that walks the packed samples, whose number only the device knows."""
-    grid = persistent_grid(samples.x.device, samples.room, SAMPLES)
+    """Launch a kernel over the packed samples, whose number only the device knows."""
+    grid = persistent_grid(samples.x.device, samples.capacity, SAMPLES)
     kernel[grid](*arguments, BLOCK=SAMPLES, num_stages=STAGES, **constants)
 
 
@@ -49,10 +50,10 @@ def over(kernel: Any, count: int, block: int, *arguments: object, **constants: o
 # -- marching ---------------------------------------------------------------------------------------------------------
 
 
-def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, room: int | None) -> GpuSamples:
+def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, capacity: int | None) -> GpuSamples:
     """March rays through a GpuDensity.
 
-    room: most samples there is memory for. With None the number is read back, which waits for the device.
+    capacity: most samples there is memory for. With None the number is read back, which waits for the device.
     """
     n, device = len(rays.origins), rays.origins.device
     counts = torch.empty(n, dtype=torch.int32, device=device)
@@ -65,17 +66,17 @@ def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, room: int | No
     )  # fmt: skip
     _march_rays(inputs, density, rays, nothing, starts, 0, False)
     last = torch.cumsum(counts, 0, dtype=torch.int64)
-    if room is None:
-        room = int(last[-1]) if n else 0  # waits for the device
-    t, deltas, sigma, weights = (torch.empty(room, device=device) for _ in range(4))
-    points, ray_of = torch.empty((room, 3), device=device), torch.empty(room, dtype=torch.int32, device=device)
+    if capacity is None:
+        capacity = int(last[-1]) if n else 0  # waits for the device
+    t, deltas, sigma, weights = (torch.empty(capacity, device=device) for _ in range(4))
+    points, ray_of = torch.empty((capacity, 3), device=device), torch.empty(capacity, dtype=torch.int32, device=device)
     samples = GpuSamples(starts, ends, counts, largest, total, t, deltas, points, sigma, weights, ray_of)
-    _march_rays(inputs, density, rays, samples, last, room, True)
+    _march_rays(inputs, density, rays, samples, last, capacity, True)
     return samples
 
 
 def _march_rays(
-    inputs: GpuMarchInputs, density, rays: GpuRays, samples: GpuSamples, last: Tensor, room: int, fill: bool
+    inputs: GpuMarchInputs, density, rays: GpuRays, samples: GpuSamples, last: Tensor, capacity: int, fill: bool
 ) -> None:
     n, s = len(rays.origins), samples
     # Without a displacement it is not read, but the kernel needs a pointer.
@@ -85,7 +86,7 @@ def _march_rays(
         float(inputs.near), float(inputs.far), float(inputs.step), inputs.distances, inputs.cells,
         inputs.samples_per_ray, float(inputs.min_transmittance),
         density.table, density.shift, *density.size, density.layout, moved, inputs.vertices,
-        s.counts, last, room, s.starts, s.ends, s.largest, s.total,
+        s.counts, last, capacity, s.starts, s.ends, s.largest, s.total,
         s.t, s.deltas, s.x, s.sigma, s.weights, s.ray_of, n,
         KIND=inputs.code, OPAQUE_BACKGROUND=inputs.opaque_background, DISPLACED=inputs.displacement is not None,
         FILL=fill, DENSITY=density.code, RANK=density.rank, WIDTH=density.width, num_warps=1,
@@ -110,14 +111,14 @@ def rows_backward(layout: Tensor, levels: int, points: Tensor, gradients: Tensor
 
 
 def zero_outside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor) -> None:
-    """Set values [room] to 0 for samples outside the marked cells (uint8 [cells^3])."""
+    """Set values [capacity] to 0 for samples outside the marked cells (uint8 [cells^3])."""
     over_samples(regions.keep_kernel, samples, marked, cells, samples.x, samples.total, values)
 
 
-def mark_cells(samples: GpuSamples, cells: int, least: float, marked: Tensor) -> None:
-    """Set `marked` (uint8 [cells^3]) to 1 where a sample weighs at least `least`; not for the opaque background."""
+def mark_cells(samples: GpuSamples, cells: int, min_weight: float, marked: Tensor) -> None:
+    """Set `marked` (uint8 [cells^3]) to 1 where a sample weighs `min_weight` or more; not for the background."""
     s = samples
-    over_samples(regions.mark_kernel, s, s.x, s.weights, s.deltas, s.total, float(least), cells, marked)
+    over_samples(regions.mark_kernel, s, s.x, s.weights, s.deltas, s.total, float(min_weight), cells, marked)
 
 
 def ends_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
@@ -135,8 +136,8 @@ def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
     """Return [rays, 5]: sum w c (3), sum w, sum w t without the opaque background."""
     n, s = len(samples.starts), samples
     out = torch.empty((n, 5), device=colors.device)
-    given = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, n
-    over(compositing.composite_kernel, n, RAYS, *given, num_warps=1)
+    arguments = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, n
+    over(compositing.composite_kernel, n, RAYS, *arguments, num_warps=1)
     return out
 
 
@@ -151,33 +152,33 @@ def surface_distance(samples: GpuSamples) -> Tensor:
 def composite_backward(
     samples: GpuSamples, colors: Tensor, out: Tensor, gradients: Tensor, near_scaling_distance: float
 ) -> tuple[Tensor, Tensor]:
-    """Return dL/d(sigma) [room], dL/d(color) [room, 3] from dL/d(out) [rays, 5]; undefined beyond the last sample."""
+    """Return dL/d(sigma) [capacity], dL/d(color) [capacity, 3] from dL/d(out) [rays, 5]; undefined after the last."""
     n, s = len(out), samples
     sigma_gradients, color_gradients = torch.empty_like(s.sigma), torch.empty_like(colors)
-    given = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, gradients, float(near_scaling_distance)
+    arguments = s.weights, s.deltas, colors, s.t, s.starts, s.ends, out, gradients, float(near_scaling_distance)
     over(
-        compositing.composite_backward_kernel, n, RAYS, *given, sigma_gradients, color_gradients, n, num_warps=1
+        compositing.composite_backward_kernel, n, RAYS, *arguments, sigma_gradients, color_gradients, n, num_warps=1
     )  # fmt: skip
     return sigma_gradients, color_gradients
 
 
 def distortion_backward(samples: GpuSamples, strength: float, middle: float, sigma_gradients: Tensor) -> None:
-    """Add dL/d(sigma) of the rays' distortion, times `strength`, to sigma_gradients [room]."""
+    """Add dL/d(sigma) of the rays' distortion, times `strength`, to sigma_gradients [capacity]."""
     s, n = samples, len(samples.starts)
-    given = s.weights, s.deltas, s.t, s.starts, s.ends, float(strength), float(middle)
-    over(compositing.distortion_backward_kernel, n, RAYS, *given, sigma_gradients, n, num_warps=1)
+    arguments = s.weights, s.deltas, s.t, s.starts, s.ends, float(strength), float(middle)
+    over(compositing.distortion_backward_kernel, n, RAYS, *arguments, sigma_gradients, n, num_warps=1)
 
 
 def photometric_loss(out: Tensor, wanted, background, samples: GpuSamples, scale: float, sums: Tensor) -> Tensor:
-    """Return dL/d(out) of the squared error; add (squared error, samples, rays without room) to sums [3]."""
+    """Return dL/d(out) of the squared error; add (squared error, samples, rays that do not fit) to sums [3]."""
     gradients, n, s = torch.empty_like(out), len(out), samples
-    given = out, wanted, background, s.counts, s.starts, s.ends, float(scale)
-    over(compositing.loss_kernel, n, POINTS, *given, gradients, sums, n)
+    arguments = out, wanted, background, s.counts, s.starts, s.ends, float(scale)
+    over(compositing.loss_kernel, n, POINTS, *arguments, gradients, sums, n)
     return gradients
 
 
 def shade_backward(samples: GpuSamples, gradients: Tensor) -> Tensor:
-    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their room."""
+    """Return dL/d(color) [n, 3] from dL/d(sum w c) [rays, 3], for samples that fill their capacity."""
     out, n = torch.empty_like(samples.x), len(samples.weights)
     over(compositing.shade_backward_kernel, n, POINTS, samples.weights, gradients, samples.ray_of, out, n)
     return out
@@ -196,34 +197,38 @@ def tuning_loss(
     return gradients
 
 
-def adam(values, gradients, first, second, rate, betas, epsilon, corrections, begin: int, end: int) -> None:
+def adam(state: GpuAdamState, rates: AdamRates, begin: int, end: int) -> None:
     """Take one step of Adam on values[begin:end]."""
-    given = values, gradients, first, second, float(rate), *betas, epsilon, *corrections, begin, end
-    over(optimizer.adam_kernel, triton.cdiv(end - begin, 8), RUNS, *given)
-
-
-def draw_rays(
-    bank, seed, first, total, lit_total, lit_rays, level, origins, directions, wanted, jitter, background
-) -> None:
-    """Draw random rays of a RayDatasetGpu; see pixel_rays.draw_kernel. level None: random background."""
-    n = len(origins)
+    s = state
     over(
-        pixel_rays.draw_kernel, n, POINTS, seed, first, n, total, bank.lit, lit_total, lit_rays, bank.view_ends,
-        bank.view_sizes, bank.views, bank.widths, bank.intrinsics, bank.poses, bank.bytes, bank.codes,
-        float(level or 0), origins, directions, wanted, jitter, background,
-        CHANNELS=bank.channels, RANDOM_BACKGROUND=level is None, STEPS=max(1, (bank.views - 1).bit_length()),
+        optimizer.adam_kernel, triton.cdiv(end - begin, 8), RUNS, s.values, s.gradients, s.first, s.second, *rates,
+        begin, end,
     )  # fmt: skip
 
 
-def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def draw_rays(photos: GpuPhotos, draw: RayDraw, count: int) -> tuple[GpuRays, Tensor, Tensor]:
+    """Return `count` random rays, their straight rgba [n, 4] and background [n, 3]; see pixel_rays.draw_kernel."""
+    p, device, views = photos, photos.bytes.device, len(photos.widths)
+    origins, directions, background = (torch.empty((count, 3), device=device) for _ in range(3))
+    wanted, jitter = torch.empty((count, 4), device=device), torch.empty(count, device=device)
+    over(
+        pixel_rays.draw_kernel, count, POINTS, draw.seed, draw.first, count, draw.total, p.lit, draw.lit_total,
+        draw.lit_rays, p.view_ends, p.view_sizes, views, p.widths, p.intrinsics, p.poses, p.bytes, p.codes,
+        float(draw.level or 0), origins, directions, wanted, jitter, background,
+        CHANNELS=p.channels, RANDOM_BACKGROUND=draw.level is None, STEPS=max(1, (views - 1).bit_length()),
+    )  # fmt: skip
+    return GpuRays(origins, directions, jitter), wanted, background
+
+
+def rays_of_pixels(photos: GpuPhotos, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return (origins, directions [n, 3], straight rgba [n, 4]) of pixels [n] int64, numbered across all views."""
-    n = len(chosen)
+    n, p, views = len(chosen), photos, len(photos.widths)
     origins, directions = (torch.empty((n, 3), device=chosen.device) for _ in range(2))
     wanted = torch.empty((n, 4), device=chosen.device)
     over(
-        pixel_rays.rays_kernel, n, POINTS, chosen, n, bank.view_ends, bank.view_sizes, bank.views, bank.widths,
-        bank.intrinsics, bank.poses, bank.bytes, bank.codes, origins, directions, wanted,
-        CHANNELS=bank.channels, STEPS=max(1, (bank.views - 1).bit_length()),
+        pixel_rays.rays_kernel, n, POINTS, chosen, n, p.view_ends, p.view_sizes, views, p.widths,
+        p.intrinsics, p.poses, p.bytes, p.codes, origins, directions, wanted,
+        CHANNELS=p.channels, STEPS=max(1, (views - 1).bit_length()),
     )  # fmt: skip
     return origins, directions, wanted
 
@@ -234,7 +239,7 @@ def rays_of_pixels(bank, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def displacement_backward(
     code: int, space: Tensor, rays: GpuRays, samples: GpuSamples, position_gradients: Tensor, vertices: int, to: Tensor
 ) -> None:
-    """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [room, 3]; code, space: as in GpuMarchInputs."""
+    """Add dL/dD to `to`, flat [vertices^3, 3], from dL/dx' [capacity, 3]; code, space: as in GpuMarchInputs."""
     s = samples
     over_samples(
         deformation.displacement_backward_kernel, s, space, rays.origins, rays.directions, s.ray_of, s.t, s.deltas,
@@ -248,6 +253,6 @@ def displaced_cells(distances: Tensor, cells: int, reach: int, displacement: Ten
     reach: cells that D moves anything by at most, and one more.
     """
     occupied = torch.empty(cells**3, dtype=torch.uint8, device=distances.device)
-    given = distances, cells, reach, displacement, vertices, occupied
-    over(deformation.displaced_cells_kernel, cells**3, CELLS, *given)
+    arguments = distances, cells, reach, displacement, vertices, occupied
+    over(deformation.displaced_cells_kernel, cells**3, CELLS, *arguments)
     return occupied.view(cells, cells, cells) > 0

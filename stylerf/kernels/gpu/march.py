@@ -1,19 +1,18 @@
 """Ray marching through warped space and over empty cells to packed samples with density and weights.
 
 One lane per ray, BLOCK rays per program, two launches of one kernel: the first counts samples, the second, after a
-cumulative sum of the counts, writes them. Rays whose samples would not fit get none. The room is fixed before the
+cumulative sum of the counts, writes them. Rays whose samples would not fit get none. The capacity is fixed before the
 launch, so that the number of samples need not be read back.
 """
 
 import triton
 import triton.language as tl
 
-from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.march import OPTICAL_SCALE, TINY
 from stylerf.kernels.gpu.indexing import SIZES, cell, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.tables import raw_density
 
-SCALE = tl.constexpr(float(OPTICAL_SCALE))
-TINY = tl.constexpr(1e-9)
+SCALE, SMALLEST = tl.constexpr(float(OPTICAL_SCALE)), tl.constexpr(float(TINY))
 MOST_TURNS = tl.constexpr(1 << 16)  # a step too small for float32 to move the ray must not hang the GPU
 
 
@@ -58,13 +57,13 @@ def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
             x, y, z = 0.5 + 0.25 * x * s, 0.5 + 0.25 * y * s, 0.5 + 0.25 * z * s
             jacobian = 0.25 * s6 * tl.where(outside, i * i, 1.0)
             speed = 0.25 * tl.maximum(tl.maximum(tl.abs(vx), tl.abs(vy)), tl.abs(vz))
-    return clamped(x), clamped(y), clamped(z), tl.maximum(speed, TINY), jacobian
+    return clamped(x), clamped(y), clamped(z), tl.maximum(speed, SMALLEST), jacobian
 
 
 @triton.jit
 def _clip_axis(o, d, low, scale, t0, t1):
     p, v = (o - low) * scale, d * scale
-    parallel = tl.abs(v) < TINY
+    parallel = tl.abs(v) < SMALLEST
     # Lanes cannot branch: parallel rays divide by 1, and the results are not used.
     i = 1.0 / tl.where(parallel, 1.0, v)
     u, w = -p * i, (1.0 - p) * i
@@ -144,11 +143,11 @@ def _keep(t_out, deltas, points, sigma, weights, ray_of, at, t, delta, x, y, z, 
 
 
 @triton.jit
-def _room_of(counts, last, room, r, valid):
-    """(begin, samples) of the rays, given their counts and the counts' running sums; none for rays without room."""
+def _fitting(counts, last, capacity, r, valid):
+    """(begin, samples) of the rays, given their counts and the counts' running sums; none for rays that do not fit."""
     wanted = tl.load(counts + r, mask=valid, other=0)
     begin = tl.load(last + r, mask=valid, other=0).to(tl.int64) - wanted
-    fits = begin + wanted <= room
+    fits = begin + wanted <= capacity
     return tl.where(fits, begin, 0), tl.where(fits, wanted, 0)
 
 
@@ -166,20 +165,20 @@ def _fill_up(t_out, deltas, points, sigma, weights, ray_of, begin, found, most, 
 
 
 @triton.jit(
-    do_not_specialize=[*SIZES, "cells", "samples_per_ray", "grid_cells", "rays", "room"],
+    do_not_specialize=[*SIZES, "cells", "samples_per_ray", "grid_cells", "rays", "capacity"],
     do_not_specialize_on_alignment=["shift"],
 )
 def march_kernel(
     space, origins, directions, jitter, near, far, step, occupancy, cells, samples_per_ray, min_transmittance,
     table, shift, s0, s1, s2, layout, grid, grid_cells,
-    counts, last, room, starts, ends, largest, total, t_out, deltas, points, sigma, weights, ray_of, rays,
+    counts, last, capacity, starts, ends, largest, total, t_out, deltas, points, sigma, weights, ray_of, rays,
     KIND: tl.constexpr, OPAQUE_BACKGROUND: tl.constexpr, DISPLACED: tl.constexpr, FILL: tl.constexpr,
     DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
     """FILL false: counts[r] = samples of ray r. true: with last[r] the sum of counts up to r, write the samples.
 
     Then ray r's are starts[r]:ends[r] of t_out, deltas, points, sigma, weights, ray_of; largest[r] is its largest
-    weight; total[0], zero before, is raised to the end of the last ray that found room. near: one number for all rays.
+    weight; total[0], zero before, is raised to the end of the last ray that fits. near: one number for all rays.
     table to layout, DENSITY, RANK, WIDTH: the density, see tables.raw_density.
     """
     # Both launches run this loop: enter, skip or sample until all lanes are done, then the background's sample.
@@ -192,7 +191,7 @@ def march_kernel(
     most = tl.where(valid, samples_per_ray, 0)
     begin = r.to(tl.int64) * 0
     if FILL:
-        begin, most = _room_of(counts, last, room, r, valid)
+        begin, most = _fitting(counts, last, capacity, r, valid)
     open_ray = t < end
     _x, _y, _z, speed, _j = warp_at(KIND, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
     t = tl.where(open_ray, t + tl.load(jitter + r, mask=valid, other=0.0) * step / speed, t)

@@ -27,10 +27,10 @@ class GpuSamples:
     """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
 
     Attributes:
-        counts: [rays], samples that each ray wanted; its starts:ends is empty if they found no room.
+        counts: [rays], samples that each ray wanted; its starts:ends is empty if they do not fit.
         largest: [rays], each ray's largest weight.
         total: [1] int64, number of samples.
-        ray_of: [room], each sample's ray.
+        ray_of: [capacity], each sample's ray.
     """
 
     starts: Tensor
@@ -46,9 +46,58 @@ class GpuSamples:
     ray_of: Tensor
 
     @property
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Number of samples that fit."""
         return len(self.t)
+
+
+@dataclass
+class GpuAdamState:
+    """A table and what its optimizer keeps: values, gradients and both moments [n] float32."""
+
+    values: Tensor
+    gradients: Tensor
+    first: Tensor
+    second: Tensor
+
+
+@dataclass
+class GpuPhotos:
+    """8-bit photos and their cameras on the device, all views laid end to end.
+
+    Attributes:
+        bytes: [sum of h w channels] uint8.
+        lit: [m] int32, pixels near something opaque, numbered across all views.
+        view_ends, view_sizes: [views] int64, the number after a view's last pixel, and how many it has.
+        widths: [views] int64.
+        intrinsics: [views, 4]; poses: [views, 3, 4]; codes: [views, 256]: as in kernels/cpu/photos.py.
+    """
+
+    bytes: Tensor
+    channels: int
+    lit: Tensor
+    view_ends: Tensor
+    view_sizes: Tensor
+    widths: Tensor
+    intrinsics: Tensor
+    poses: Tensor
+    codes: Tensor
+
+
+@dataclass(frozen=True)
+class RayDraw:
+    """Which rays of a random batch are drawn: from `first` on of the batch of `seed`.
+
+    The batch's first lit_rays take one of the first lit_total lit pixels, the others one of the first `total` pixels.
+    level: gray of the background; None: random colors.
+    """
+
+    seed: int
+    first: int
+    total: int
+    lit_total: int
+    lit_rays: int
+    level: float | None
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,14 @@ box: float32 [4], the lowest corner of the cells' box and one over its side: whe
 import triton
 import triton.language as tl
 
+from stylerf.kernels.cpu import regions
 from stylerf.kernels.gpu.compositing import rays_of_program
 from stylerf.kernels.gpu.hash_color import lane_gradients, level_scatter, level_sum, logit
 from stylerf.kernels.gpu.indexing import offset, vector
 from stylerf.kernels.gpu.march import cell_number, clamped
 from stylerf.kernels.gpu.shading import sigmoid, to_learn
 
-LEAST = tl.constexpr(1e-4)  # odds at least, both ways: white and black can be repainted too
+MIN_ODDS = tl.constexpr(float(regions.MIN_ODDS))
 
 
 @triton.jit
@@ -35,13 +36,13 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
 
 
 @triton.jit(do_not_specialize=["cells"])
-def mark_kernel(points, weights, deltas, total, least, cells, marked, BLOCK: tl.constexpr):
-    """marked[cell] = 1 for the cells of samples that weigh at least `least`; see the CPU's mark_cells."""
+def mark_kernel(points, weights, deltas, total, min_weight, cells, marked, BLOCK: tl.constexpr):
+    """marked[cell] = 1 for the cells of samples that weigh at least `min_weight`; see the CPU's mark_cells."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
         inside = k < count
-        heavy = tl.load(weights + k, mask=inside, other=0.0) >= least
+        heavy = tl.load(weights + k, mask=inside, other=0.0) >= min_weight
         heavy = inside & heavy & (tl.load(deltas + k, mask=inside, other=0.0) > 0.0)
         x, y, z = vector(points, k, heavy)
         tl.store(marked + cell_number(x, y, z, cells), 1, mask=heavy)
@@ -102,7 +103,7 @@ def color_kernel(
             for j in tl.static_range(3):
                 at = out + offset(k, 3, j)
                 own = sigmoid(logit(f, lane, j))
-                base = tl.minimum(tl.maximum(tl.load(at, mask=valid, other=0.5), LEAST), 1.0 - LEAST)
+                base = tl.minimum(tl.maximum(tl.load(at, mask=valid, other=0.5), MIN_ODDS), 1.0 - MIN_ODDS)
                 both = base * own
                 # sigmoid(logit(p) + logit(q)) = p q / (p q + (1 - p)(1 - q)), without logarithms.
                 tl.store(at, both / (both + (1.0 - base) * (1.0 - own)), mask=valid)

@@ -4,21 +4,22 @@ layout, RANK: not read and the rank (vm); the levels' and their floats a place (
 (voxel). s0, s1, s2: vertices per axis of vm's and voxels' grids. WIDTH: columns of a tile, a power of two.
 
 A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
-Kernels walk the packed list of samples with a stride of all programs, BLOCK at a time, so that the number of samples
+Kernels go over the packed list of samples with a stride of all programs, BLOCK at a time, so that the number of samples
 need not be known where they are launched.
 """
 
 import triton
 import triton.language as tl
 
+from stylerf.kernels.cpu import march, simd_hash
 from stylerf.kernels.gpu.hash_levels import level_tile, level_tile_scatter
 from stylerf.kernels.gpu.indexing import SIZES, vector
 from stylerf.kernels.gpu.vm import place, product, scatter
 from stylerf.kernels.gpu.voxel import corners, row_tile, row_tile_scatter
 
 VM, HASH, VOXEL = tl.constexpr(0), tl.constexpr(1), tl.constexpr(2)
-EXPONENT_MIN, EXPONENT_MAX = tl.constexpr(-15.0), tl.constexpr(12.0)
-ROW = tl.constexpr(4)  # floats at a hash grid's vertex, as features
+EXPONENT_MIN, EXPONENT_MAX = tl.constexpr(float(march.EXPONENT_MIN)), tl.constexpr(float(march.EXPONENT_MAX))
+ROW = tl.constexpr(simd_hash.ROW)  # floats at a hash grid's vertex, as features
 
 
 @triton.jit

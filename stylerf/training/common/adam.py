@@ -1,13 +1,13 @@
 """Adam over the flat value arrays of field parts."""
 
 import math
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 from torch import Tensor
 
-from stylerf.kernels.cpu.adam import adam
+from stylerf.kernels.cpu.adam import AdamRates, AdamState, adam
 
 # As instant-ngp: means over thousands of rays leave a table row with tiny gradients, which a larger epsilon would damp.
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
@@ -36,12 +36,9 @@ class Adam:
         if self.gradient_clip > 0:
             self.running_norm = clipped(self.gradients, self.gradient_clip, self.running_norm, self.steps)
         self.steps += 1
-        arrays = self.values, self.gradients, self.first, self.second
-        betas = np.float32(BETA1), np.float32(BETA2), np.float32(EPSILON)
-        # Counted per optimizer, not per row: the kernel skips runs without a gradient, whose moments then do not decay.
-        corrections = np.float32(1 - BETA1**self.steps), np.float32(1 - BETA2**self.steps)
+        state = AdamState(self.values, self.gradients, self.first, self.second)
         for begin, end, factor in self.groups:
-            adam(*arrays, np.float32(rate * factor), *betas, *corrections, begin, end, self.threads)
+            adam(state, rates_of(rate * factor, self.steps, np.float32), begin, end, self.threads)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint, beside the values."""
@@ -53,6 +50,15 @@ class Adam:
         self.first[:], self.second[:] = arrays["first"], arrays["second"]
         self.steps = int(arrays["steps"][0])
         self.running_norm = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
+
+
+def rates_of(rate: float, steps: int, dtype: Callable[[float], Any] = float) -> AdamRates:
+    """Return the numbers of step `steps`, counted from 1, as `dtype`.
+
+    Steps are counted per optimizer, not per row: the kernel skips runs without a gradient, whose moments then do not
+    decay.
+    """
+    return AdamRates(*map(dtype, (rate, BETA1, BETA2, EPSILON, 1 - BETA1**steps, 1 - BETA2**steps)))
 
 
 class Optimizer(Protocol):

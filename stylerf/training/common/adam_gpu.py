@@ -8,7 +8,8 @@ from torch import Tensor
 
 from stylerf.fields.gpu.parts import GpuPart
 from stylerf.kernels.gpu import launch
-from stylerf.training.common.adam import BETA1, BETA2, EPSILON, NORM_STEPS
+from stylerf.kernels.gpu.ray_samples import GpuAdamState
+from stylerf.training.common.adam import NORM_STEPS, rates_of
 
 
 class GpuAdam:
@@ -30,12 +31,9 @@ class GpuAdam:
         if self.gradient_clip > 0:
             self.running_norm = clipped(self.gradients, self.gradient_clip, self.running_norm, self.steps)
         self.steps += 1
-        corrections = 1 - BETA1**self.steps, 1 - BETA2**self.steps
+        state = GpuAdamState(self.values, self.gradients, self.first, self.second)
         for begin, end, factor in _joined(self.groups):
-            launch.adam(
-                self.values, self.gradients, self.first, self.second, rate * factor, (BETA1, BETA2), EPSILON,
-                corrections, begin, end,
-            )  # fmt: skip
+            launch.adam(state, rates_of(rate * factor, self.steps), begin, end)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint, beside the values."""

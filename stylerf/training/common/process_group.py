@@ -65,7 +65,7 @@ class ProcessGroup:
         """Leave the group."""
 
 
-ALONE = ProcessGroup()
+SINGLE_PROCESS = ProcessGroup()
 
 
 class DistributedProcesses(ProcessGroup):

@@ -9,7 +9,7 @@ from scipy.ndimage import distance_transform_cdt
 
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
-from stylerf.kernels.cpu.photos import gather
+from stylerf.kernels.cpu.photos import Photos, gather
 from stylerf.srgb import codes_at
 
 STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux maps 16 pages around it)
@@ -207,7 +207,7 @@ class RayDataset:
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colors = np.empty((n, 4), np.float32)
-        cameras, photos = (self.widths, self.intrinsics, self.poses), (self.starts, self.bytes, self.channels)
-        gather(views, pixels, *cameras, *photos, self.codes, origins, directions, colors)
+        photos = Photos(self.bytes, self.channels, self.starts, self.widths, self.intrinsics, self.poses, self.codes)
+        gather(photos, views, pixels, origins, directions, colors)
         self.read(n)
         return origins, directions, colors

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.kernels.gpu import launch
-from stylerf.kernels.gpu.ray_samples import GpuRays
+from stylerf.kernels.gpu.ray_samples import GpuPhotos, GpuRays, RayDraw
 from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, RayDataset
 
 AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the device
@@ -40,17 +40,17 @@ class GpuRayDataset:
             raise InvalidValue(f"{len(dataset)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
         self.device, self.channels, self.views = device, dataset.channels, len(dataset.cameras)
         self.ends = np.cumsum(dataset.sizes)
-        self.bytes, self.lit = self._photos(dataset), self._near_objects(dataset)
-        self.widths, self.view_ends = self._copy(dataset.widths), self._copy(self.ends)
-        self.view_sizes = self._copy(dataset.sizes)
-        self.intrinsics, self.poses = self._copy(dataset.intrinsics), self._copy(dataset.poses)
-        self.codes = self._copy(dataset.codes)
+        self.photos = GpuPhotos(
+            self._bytes(dataset), dataset.channels, self._near_objects(dataset), self._copy(self.ends),
+            self._copy(dataset.sizes), self._copy(dataset.widths), self._copy(dataset.intrinsics),
+            self._copy(dataset.poses), self._copy(dataset.codes),
+        )  # fmt: skip
         self._host = dataset
 
     def _copy(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
-    def _photos(self, dataset: RayDataset) -> Tensor:
+    def _bytes(self, dataset: RayDataset) -> Tensor:
         """Copy the bytes in parts: those mapped from a file are never all in memory."""
         there = torch.empty(len(dataset.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
@@ -73,7 +73,7 @@ class GpuRayDataset:
 
     def follow_exposure(self) -> None:
         """Copy the host dataset's present exposure."""
-        self.codes = self._copy(self._host.codes)
+        self.photos.codes = self._copy(self._host.codes)
 
     def draw(
         self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
@@ -86,16 +86,11 @@ class GpuRayDataset:
         total = int(self.ends[among - 1])
         most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
         lit_rays = int(batch * lit_share) if most_lit else 0
-        origins, directions, background = (torch.empty((count, 3), device=self.device) for _ in range(3))
-        wanted, jitter = torch.empty((count, 4), device=self.device), torch.empty(count, device=self.device)
-        launch.draw_rays(
-            self, seed, first, total, most_lit, lit_rays, level, origins, directions, wanted, jitter, background
-        )
-        return RayBatch(GpuRays(origins, directions, jitter), wanted, background)
+        return RayBatch(*launch.draw_rays(self.photos, RayDraw(seed, first, total, most_lit, lit_rays, level), count))
 
     def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
         """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""
-        origins, directions, wanted = launch.rays_of_pixels(self, chosen)
+        origins, directions, wanted = launch.rays_of_pixels(self.photos, chosen)
         return GpuRays(origins, directions, jitter), wanted
 
     def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:

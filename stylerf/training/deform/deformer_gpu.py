@@ -9,6 +9,7 @@ from torch import Tensor
 from stylerf.fields.deformation import FARTHEST, Deformation
 from stylerf.fields.gpu.field import FARTHEST as FARTHEST_CELL
 from stylerf.fields.gpu.field import GpuField, distances_to
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -22,7 +23,6 @@ from stylerf.training.deform.deformer import GridDeformer
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
-LIMIT = 512  # samples on a ray
 
 
 class GpuDeformer(GridDeformer[Tensor]):
@@ -106,7 +106,7 @@ class GpuPhotoError:
         for at in range(0, len(origins), RAYS_AT_ONCE):
             part = slice(at, at + RAYS_AT_ONCE)
             rays = GpuRays.of(origins[part], directions[part], device)
-            out = field.render_rays(rays, weight_threshold=self.weight_threshold, samples_per_ray=LIMIT).out
+            out = field.render_rays(rays, weight_threshold=self.weight_threshold).out
             wanted = torch.from_numpy(colors[part]).to(device)
             cover = wanted[:, 3:]
             found = out[:, :3] + (1 - out[:, 3:4]) * self.background
@@ -117,8 +117,8 @@ class GpuPhotoError:
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
         device, field, n = self.deformer.device, self.deformer.device_field, len(origins)
         rays = GpuRays(*(sent(array, device) for array in (origins, directions, jitter)))
-        room, threshold = min(n * LIMIT, MOST_SAMPLES), self.weight_threshold
-        rendered = field.render_rays(rays, room=room, weight_threshold=threshold, samples_per_ray=LIMIT)
+        capacity, threshold = min(n * SAMPLES_PER_RAY, MOST_SAMPLES), self.weight_threshold
+        rendered = field.render_rays(rays, capacity=capacity, weight_threshold=threshold)
         background = torch.full((n, 3), float(self.background), device=device)
         sums, wanted = self._reports.begin(), sent(colors, device)
         if field.opaque_background:

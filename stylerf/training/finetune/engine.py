@@ -14,7 +14,7 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import backward, render_rays
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, over, target, unhidden
 
 
@@ -81,7 +81,7 @@ class CpuFineTuneEngine:
         dataset: RayDataset,
         settings: FineTuneSettings,
         threads: int,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
     ) -> None:
         self.field, self.dataset, self.settings, self.threads, self.group = field, dataset, settings, threads, group
         self.color_adam = Adam(field.color.values, field.color.groups(), threads)

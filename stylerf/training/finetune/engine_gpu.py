@@ -8,20 +8,20 @@ import torch
 
 from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.parts import GpuPart, marked_cells
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.kernels.gpu import launch
-from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
 
 # Samples that fit: all that the rays could have, up to a gigabyte. Rays beyond that are left out of their step.
-MOST_ROOM = 1 << 24
+MAX_CAPACITY = 1 << 24
 
 
 class GpuFineTuneEngine:
@@ -33,7 +33,7 @@ class GpuFineTuneEngine:
         dataset: RayDataset,
         settings: FineTuneSettings,
         threads: int,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         *,
         device: torch.device | str,
     ) -> None:
@@ -72,8 +72,8 @@ class GpuFineTuneEngine:
             sent(array, self.device) for array in (numbers, batch.jitter, batch.depth.astype(np.float32))
         )
         rays, wanted = self.dataset.at(chosen, jitter)
-        room = min(len(chosen) * SAMPLES_PER_RAY, MOST_ROOM)
-        rendered = field.render_rays(rays, room=room, samples_per_ray=SAMPLES_PER_RAY)
+        capacity = min(len(chosen) * SAMPLES_PER_RAY, MAX_CAPACITY)
+        rendered = field.render_rays(rays, capacity=capacity)
         if field.opaque_background and self.dataset.channels == 4:
             wanted = unhidden(wanted, rendered.out, s.background)
         pulling = 2 * s.depth_weight / batch.inside if moving and batch.inside else 0.0

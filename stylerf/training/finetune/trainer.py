@@ -16,7 +16,7 @@ from stylerf.errors import Diverged
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.training.common.adam import SMOOTH_EVERY
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneSettings
 
@@ -68,7 +68,7 @@ class FineTuner:
         settings: FineTuneSettings,
         seed: int,
         threads: int,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         engine: Callable[..., FineTuneEngine] = CpuFineTuneEngine,
     ) -> None:
         self.group, self.dataset, self.edited, self.settings, self.seed = group, dataset, edited, settings, seed

@@ -16,7 +16,7 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.kernels.cpu.regions import mark_cells
 from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, background_of, over, target, unhidden
 from stylerf.training.fit.seen_cells import SeenCells
 from stylerf.training.fit.settings import FitSettings
@@ -90,7 +90,7 @@ class CpuEngine:
         seed: int,
         threads: int,
         field: RadianceField,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         gradient_clip: float = 0.0,
     ) -> None:
         self.dataset, self.seed, self.threads, self.group = dataset, seed, threads, group
@@ -119,13 +119,13 @@ class CpuEngine:
         """Number of learnable values; does not wait for a GPU."""
         return self.field.parameters
 
-    def refresh(self, seed: int, share: int, elapsed: float = 0.0) -> None:
-        """Update the occupancy grid at one cell in `share`. elapsed: part of the budget since the last time."""
+    def refresh(self, seed: int, stride: int, elapsed: float = 0.0) -> None:
+        """Update the occupancy grid at one cell in `stride`. elapsed: part of the budget since the last time."""
         field = self.field
         if self._seen is not None:
             self._seen.update(elapsed, self.group)
             self._clear_unseen()
-        field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, share, 0.9)
+        field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, stride, 0.9)
 
     def _clear_unseen(self) -> None:
         """Empty the cells that no training ray has seen for long."""

@@ -19,15 +19,15 @@ from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.adam import moments_of, restore_moments
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.fit.engine import Batch, StepResult, parts_of
 from stylerf.training.fit.seen_cells import SeenCells
 from stylerf.training.fit.settings import FitSettings
 
-ROOM = 4  # times the intended samples of a batch; rays beyond that are left out of the step
-LEAST_ROOM = 1 << 18
+CAPACITY_FACTOR = 4  # times the intended samples of a batch; rays beyond that are left out of the step
+MIN_CAPACITY = 1 << 18
 
 
 def opacity_gradient(rendered: GpuRendered, weight: float, rays: int) -> Tensor:
@@ -78,7 +78,7 @@ class GpuEngine:
         seed: int,
         threads: int,
         field: RadianceField,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         *,
         device: torch.device | str,
         samples: int,
@@ -86,7 +86,7 @@ class GpuEngine:
     ) -> None:
         self.device, self.group, self.gradient_clip = torch.device(device), group, gradient_clip
         self.dataset, self.seed = GpuRayDataset(dataset, self.device), seed
-        self.room = max(LEAST_ROOM if self.device.type == "cuda" else 0, ROOM * samples)
+        self.capacity = max(MIN_CAPACITY if self.device.type == "cuda" else 0, CAPACITY_FACTOR * samples)
         self._copy(field)
         self.density_adam = GpuAdam.of(self.device_field.density, gradient_clip)
         self.color_adam = GpuAdam.of(self.device_field.color, gradient_clip)
@@ -127,12 +127,12 @@ class GpuEngine:
     def parameters(self) -> int:
         return self._host.parameters
 
-    def refresh(self, seed: int, share: int, elapsed: float = 0.0) -> None:
+    def refresh(self, seed: int, stride: int, elapsed: float = 0.0) -> None:
         with out_of_memory():
             if self._seen is not None:
                 self._seen.update(elapsed, self.group)
                 self._clear_unseen()
-            refresh(self.device_field, seed, share, 0.9)
+            refresh(self.device_field, seed, stride, 0.9)
         self._stale = True
 
     def _clear_unseen(self) -> None:
@@ -165,7 +165,7 @@ class GpuEngine:
             drawn = self.dataset.draw(
                 seed, some.start, some.stop - some.start, batch.rays, batch.among, batch.lit_share, level
             )
-            rendered = field.render_rays(drawn.rays, room=-(-self.room // batch.parts))
+            rendered = field.render_rays(drawn.rays, capacity=-(-self.capacity // batch.parts))
             if field.opaque_background and self.dataset.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)
             images, scale = (rendered.out, drawn.wanted, drawn.background), 2 / (3 * batch.rays)
@@ -231,7 +231,7 @@ class GpuEngine:
             refresh(field, 0, 1, 0.9)
             for level in (None, 1.0):
                 drawn = self.dataset.draw(0, 0, 16, 16, self.dataset.views, 0.5, level)
-                rendered = field.render_rays(drawn.rays, room=16 * 64)
+                rendered = field.render_rays(drawn.rays, capacity=16 * 64)
                 images = rendered.out, drawn.wanted, drawn.background
                 gradients = launch.photometric_loss(*images, rendered.samples, 1.0, sums)
                 to = adams[0].gradients, adams[1].gradients

@@ -13,8 +13,8 @@ import numpy as np
 from stylerf.srgb import LUMA, decoded
 from stylerf.training.common.ray_dataset import RayDataset
 
-POINTS = 16384  # surface points in all, at least LEAST per photo
-LEAST = 64
+POINTS = 16384  # surface points in all, at least MIN_POINTS per photo
+MIN_POINTS = 64
 OTHERS, TRIED = 3, 12  # photos compared per point, found among so many random ones
 DARKEST, BRIGHTEST = 0.03, 0.97  # usable code values
 CLIPPED = 250  # bytes from which a sensor may have been saturated
@@ -34,20 +34,20 @@ class Exposures:
         self.dataset = dataset
         count = len(dataset.cameras)
         generator = np.random.default_rng([seed, 5])
-        self.views = np.repeat(np.arange(count), max(LEAST, POINTS // count))
+        self.views = np.repeat(np.arange(count), max(MIN_POINTS, POINTS // count))
         self.pixels = (generator.random(len(self.views)) * dataset.sizes[self.views]).astype(np.int64)
         # Any view but the point's own.
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
     def judged(self, rendered: Renderer, stops: np.ndarray) -> np.ndarray:
         """Estimate by how many stops each photo is overexposed, [views], mean 0. stops: the present estimate."""
-        points, light = self._surfaces(rendered, self.views, self.pixels)[:2]
-        at, others, pixels = self._seen_again(points, np.isfinite(light))
-        found, light_there, distance = self._surfaces(rendered, others, pixels)
+        points, luminance = self._surfaces(rendered, self.views, self.pixels)[:2]
+        at, others, pixels = self._seen_again(points, np.isfinite(luminance))
+        found, luminance_there, distance = self._surfaces(rendered, others, pixels)
         # A point is seen again if the other photo's own ray ends at the same place, not at an occluder in front of it.
         apart = np.linalg.norm(found - points[at], axis=1)
-        same = np.isfinite(light_there) & (apart < APART * distance)
-        beyond = np.log2(light[at[same]] / light_there[same])
+        same = np.isfinite(luminance_there) & (apart < APART * distance)
+        beyond = np.log2(luminance[at[same]] / luminance_there[same])
         return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
 
     def _surfaces(
@@ -61,8 +61,8 @@ class Exposures:
         rgb = colors[:, :3]
         usable = (rgb > DARKEST) & (rgb < np.minimum(self.dataset.codes[views, CLIPPED], BRIGHTEST)[:, None])
         usable = usable.all(1) & (colors[:, 3] > SOLID) & (out[:, 3] > SOLID)
-        light = np.where(usable, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
-        return origins + directions * distance[:, None], light, distance
+        luminance = np.where(usable, decoded(rgb.astype(np.float64)) @ LUMA, np.nan)
+        return origins + directions * distance[:, None], luminance, distance
 
     def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""

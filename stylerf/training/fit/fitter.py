@@ -21,12 +21,13 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.fields.protocol import Capacity
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.training.common.adam import SMOOTH_EVERY
-from stylerf.training.common.process_group import ALONE, ProcessGroup
-from stylerf.training.common.ray_dataset import RayDataset, background_of, over, psnr_from_mse, shown_rays, target
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
+from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine
 from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
+from stylerf.training.fit.held_out import HeldOutRays
+from stylerf.training.fit.schedule import EXPOSURE_FROM, USABLE_FROM, batch_at, rays_for, refresh_every
 from stylerf.training.fit.settings import (
     GROW,
     CapacityLevel,
@@ -42,12 +43,7 @@ if TYPE_CHECKING:
     from stylerf.training.fit.engine_gpu import GpuEngine
 
 Engine: TypeAlias = "CpuEngine | GpuEngine"
-EXPOSURE_FROM = 0.1  # of the budget; before, a field is brighter or darker than its photos for other reasons
-SEEN_FROM = 0.2  # of the budget; from here on, cells that no ray sees anything in for long are emptied
-DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6  # of the budget
-OPACITY_FROM = 0.25  # of the budget
 MOST_ROLLBACKS = 4
-USABLE_FROM = 0.5  # of the budget; from here on the best field so far is worth more than an error
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +78,7 @@ class Fitter:
         seed: int,
         threads: int,
         on_say: Callable[[str], None] = lambda text: None,
-        group: ProcessGroup = ALONE,
+        group: ProcessGroup = SINGLE_PROCESS,
         engine: Callable[..., Engine] = CpuEngine,
     ) -> None:
         self.space, self.dataset, self.held_out, self.settings = space, dataset, held_out, settings
@@ -99,7 +95,7 @@ class Fitter:
             1.0 / level.resolution,
         )
         self.engine = engine(dataset, seed, threads, first, group)
-        self._held_out_rays = self._choose_held_out()
+        self.held_out_rays = HeldOutRays(dataset, held_out, space.kind != "box", settings.background, seed)
         enough = settings.exposure == "on" or (settings.exposure == "auto" and len(dataset.cameras) >= FEWEST_PHOTOS)
         self.exposures = Exposures(dataset, seed) if enough else None
         self._anchor: Snapshot | None = None
@@ -149,14 +145,6 @@ class Fitter:
         grown.occupancy.decide(grown.step)
         self.engine.adopt(grown)
 
-    def _choose_held_out(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Up to 16,384 rays of the held-out views; of all views if none is held out."""
-        generator = np.random.default_rng([self.seed, 3])
-        first = len(self.dataset.cameras) - self.held_out if self.held_out else 0
-        chosen = self.dataset.of_views(first, 16384, generator)
-        # Only a box may be transparent; elsewhere alpha 0 is a mask and has no color to compare with (decision 0004).
-        return chosen if self.space.kind == "box" else shown_rays(*chosen)
-
     @property
     def _judges(self) -> str:
         return "held-out views" if self.held_out else "training views"
@@ -168,17 +156,9 @@ class Fitter:
         return self.held_out > 0 and self.progress < until and (until >= 1 or not self.state.decided)
 
     def held_out_psnr(self) -> float:
-        """PSNR over the held-out rays (training rays if no view is held out), dB.
-
-        A cut-out object is judged over random colors: over white, a missing white object would count as found.
-        """
-        kind = "random" if self.dataset.channels == 4 else self.settings.background
-        origins, directions, colors = self._held_out_rays
-        background = background_of(kind, len(origins), np.random.default_rng([self.seed, 4]))
-        out = self.engine.rendered(origins, directions)
-        error = np.clip(over(out[:, :3], out[:, 3:4], background) - target(colors, background), -1, 1)
+        """PSNR over the held-out rays (training rays if no view is held out), dB."""
         # Processes may differ in rounding, which could tip a decision: all take the first one's number.
-        return psnr_from_mse(self.group.of_first(float(np.square(error).mean(dtype=np.float64))))
+        return self.group.of_first(self.held_out_rays.psnr(self.engine.rendered))
 
     def _balance(self, exposures: Exposures, quality: float) -> float:
         """Estimate by how many stops the photos differ, and correct them; returns the quality on the corrected photos.
@@ -198,20 +178,14 @@ class Fitter:
             self.state.decisions.append(f"{differ}: corrected to one")
         self._expose(stops.tolist())
         shift = self.held_out_psnr() - quality
-        self.state.best += shift
-        for known in (self.state.quality, self.state.anchor_quality):
-            known.update({views: round(value + shift, 3) for views, value in known.items()})
-        if self.state.unpruned is not None:
-            self.state.unpruned += shift
-        if self.state.trial is not None:
-            self.state.trial.before += shift
+        self.state.shift(shift)
         return quality + shift
 
     def _expose(self, stops: list[float]) -> None:
         self.state.stops = stops
         self.dataset.expose(np.array(stops))
         self.engine.follow_exposure()
-        self._held_out_rays = self._choose_held_out()
+        self.held_out_rays.choose()
 
     # -- one step ---------------------------------------------------------------------------------------------------
 
@@ -225,7 +199,7 @@ class Fitter:
         """Take one optimization step; its mean squared error."""
         settings, state = self.settings, self.state
         # Once per step, even if running out of memory restarts it: processes must not differ in this.
-        if state.step >= 16 and state.step % _refresh_every(state.step) == 0 and self._refreshed_at != state.step:
+        if state.step >= 16 and state.step % refresh_every(state.step) == 0 and self._refreshed_at != state.step:
             self._refreshed_at = state.step
             # All cells at first, later every fourth from a random start: densities have settled, and cells are many.
             elapsed, state.refreshed_at = self.progress - state.refreshed_at, self.progress
@@ -233,33 +207,13 @@ class Fitter:
         learned = self.engine.learn(self._batch())
         state.step += 1
         if learned.samples_per_ray > 0:  # else no step has finished yet
-            state.rays = _rays_for(settings.samples, learned.samples_per_ray, state.rays, self.engine.most_rays)
+            state.rays = rays_for(settings.samples, learned.samples_per_ray, state.rays, self.engine.most_rays)
         return learned.error
 
     def _batch(self) -> Batch:
         """The next step."""
-        settings, state = self.settings, self.state
-        among = len(self.dataset.cameras)
-        if self._judging:
-            among -= self.held_out
-        # Every SMOOTH_EVERY-th step with that many times the weight: the same pull on average (decision 0011).
-        smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
-        return Batch(
-            step=state.step,
-            rays=state.rays,
-            parts=state.parts,
-            among=among,
-            lit_share=settings.lit_share,
-            background=settings.background,
-            # Exponential decay over the budget, halved by each rollback, ramped up after a pruning.
-            rate=settings.rate * settings.final_rate**self.progress * state.rate_scale * self.search.rate,
-            smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
-            near_scaling_distance=settings.near_scaling_distance,
-            opacity=settings.opacity * _rise(self.progress, OPACITY_FROM, 1.0),
-            coverage=settings.coverage if self.dataset.channels == 4 else 0.0,
-            distortion=settings.distortion * _rise(self.progress, DISTORTION_FROM, DISTORTION_FULL),
-            least_weight=settings.least_weight if self.progress >= SEEN_FROM else 0.0,
-        )
+        among = len(self.dataset.cameras) - (self.held_out if self._judging else 0)
+        return batch_at(self.progress, self.state, self.settings, among, self.search.rate, self.dataset.channels)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -463,20 +417,3 @@ class Fitter:
         self._restore(Snapshot.of(data["field"], arrays, "now."))
         if "anchor" in data:
             self._anchor = Snapshot.of(data["anchor"], arrays, "anchor.")
-
-
-def _rays_for(samples: int, samples_per_ray: float, before: int, most: int) -> int:
-    """Rays of the next step, for about `samples` samples in all; changes slowly, between 256 and `most`."""
-    # The count per ray falls as empty space is found; smoothed, so that one odd batch does not swing the next.
-    wanted = samples / max(samples_per_ray, 1.0)
-    return int(np.clip(0.8 * before + 0.2 * wanted, 256, most))
-
-
-def _rise(progress: float, begin: float, end: float) -> float:
-    """0 before `begin`, 1 after `end`, linear between."""
-    return min(1.0, max(0.0, (progress - begin) / (end - begin)))
-
-
-def _refresh_every(step: int) -> int:
-    # Often while the density changes fast and each refresh makes steps cheaper, seldom once it is stable.
-    return 8 if step < 64 else 16 if step < 300 else 64

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 
 from stylerf import validation
-from stylerf.training.common.process_group import ALONE, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 
 PATIENCE = 0.15  # of the budget; a cell that is not seen for so long is empty
 
@@ -52,7 +52,7 @@ class SeenCells:
             new.copy_(F.interpolate(grid, size=(cells,) * 3, mode="nearest").reshape(-1))
         return made
 
-    def update(self, elapsed: float, group: ProcessGroup = ALONE) -> None:
+    def update(self, elapsed: float, group: ProcessGroup = SINGLE_PROCESS) -> None:
         """Let `elapsed`, a fraction of the budget, pass for cells that no process has marked since the last update."""
         marks = self.marked.to(torch.int32)  # uint8 would overflow in the sum over 256 processes
         group.add(marks)

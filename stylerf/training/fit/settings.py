@@ -269,6 +269,16 @@ class FitState:
     refreshed_at: float = 0.0  # progress at the last update of the occupancy grid
     stops: list[float] | None = None  # overexposure of the photos; empty: all alike; None: not judged
 
+    def shift(self, by: float) -> None:
+        """Add `by`, dB, to all qualities: photos were corrected, which would otherwise look like a fall or a gain."""
+        self.best += by
+        for known in (self.quality, self.anchor_quality):
+            known.update({views: round(value + by, 3) for views, value in known.items()})
+        if self.unpruned is not None:
+            self.unpruned += by
+        if self.trial is not None:
+            self.trial.before += by
+
     def as_json(self) -> dict[str, Any]:
         """As a JSON value."""
         return asdict(self) | {"best": self.best if math.isfinite(self.best) else None}

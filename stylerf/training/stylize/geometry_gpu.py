@@ -8,6 +8,7 @@ from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import free_on, in_parts
 from stylerf.fields.gpu.parts import COLOR_KINDS, GpuColor
 from stylerf.fields.hash_grid import HashColor
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
@@ -80,7 +81,7 @@ class GpuFixedGeometry:
     def _march(self, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
         def part(begin: int, end: int) -> tuple[Tensor, Tensor, Tensor]:
             rays = rays_of(camera, torch.arange(begin, end, device=self.device))
-            s = self._marched.march(rays, 512, 1e-3, None)
+            s = self._marched.march(rays, SAMPLES_PER_RAY, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
             shown = (s.weights > 0) & (s.weights >= self.weight_threshold * s.largest[ray])
             sums = torch.zeros((2, n), device=self.device)  # weights of all samples, and of those kept

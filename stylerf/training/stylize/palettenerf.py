@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from stylerf.editing.palette_hull import ExtractedPalette, extracted
-from stylerf.editing.palette_losses import sparsity
+from stylerf.editing.palette_losses import figures_json, sparsity
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_color import PaletteColor, Parts
 from stylerf.fields.protocol import ColorPart
+from stylerf.geometry.cameras import evenly_spaced
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
 from stylerf.training.stylize.settings import StyleSettings
@@ -209,11 +210,11 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         Palette, shares, sparsity L_sp and palette TV as local edits have them, and PSNR in dB against the photos over
         the pixels that show the scene.
         """
-        scene, count = self.scene, len(self.scene.cameras)
+        scene = self.scene
         errors, sparse, varied, shares, pixels = 0.0, [], [], [], 0
-        for view in np.unique(np.linspace(0, count - 1, min(count, FIGURE_VIEWS)).round().astype(int)):
+        for view in evenly_spaced(len(scene.cameras), FIGURE_VIEWS):
             alpha = scene.fixed.alpha(view)
-            weights, rgb = self._render(int(view))
+            weights, rgb = self._render(view)
             shown = alpha > SHOWN
             if not shown.any():
                 continue
@@ -224,15 +225,9 @@ class PaletteNerf(StyleMethod[StyleSettings]):
             sparse.append(sparsity(weights[shown]))
             varied.append(picture_variation(weights, alpha, shown))
             shares.append(weights[shown].mean(0))
-        return {
-            "colors": self.color.bases,
-            "palette": [[round(float(v), 4) for v in color] for color in self.color.palette],
-            "shares": [round(float(share), 4) for share in np.mean(shares, 0)],
-            "sparsity": round(float(np.mean(sparse)), 4),
-            "palette_variation": round(float(np.mean(varied)), 5),
-            "psnr": round(-10 * np.log10(max(errors / (3 * max(pixels, 1)), 1e-10)), 2),
-            "extraction_error": round(self.extracted.error, 5),
-        }
+        error = errors / (3 * max(pixels, 1))
+        figures = figures_json(self.color.palette, shares, sparse, varied, error)
+        return figures | {"extraction_error": round(self.extracted.error, 5)}
 
     def _render(self, view: int) -> tuple[np.ndarray, np.ndarray]:
         """(weights [h, w, bases], premultiplied rgb [h, w, 3]) of a view, both composited."""

@@ -16,7 +16,7 @@ from stylerf.fields.deformation import Deformation, at_rest
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import ColorMap, RadianceField
-from stylerf.geometry.cameras import Camera
+from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import match_colors, pixels_of, spread_at_least, spread_at_most, strokes_in
@@ -316,11 +316,9 @@ class StyledScene(Generic[Settings_co]):
         """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
         if self.style_colors is None:
             return None
-        count = len(self.cameras)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, MATCHED_VIEWS)).round().astype(int))
         images = (
             (self.render(view).reshape(*self.geometry.alpha(view).shape, 3), self.geometry.alpha(view))
-            for view in chosen
+            for view in evenly_spaced(len(self.cameras), MATCHED_VIEWS)
         )
         return rendered_match(images, self.style_colors, self.problem.seed)
 

@@ -38,7 +38,7 @@ def both(scene, tmp_path, monkeypatch):
     here = bank_of(scene, [2, 0, 1], tmp_path, Context())
     said = Said()
     monkeypatch.setattr(photos, "available_bytes", lambda bound: 0)
-    monkeypatch.setattr(photos, "LEAST_BYTES", 0)
+    monkeypatch.setattr(photos, "MIN_BYTES", 0)
     return here, bank_of(scene, [2, 0, 1], tmp_path, Context(progress=said)), said.lines
 
 

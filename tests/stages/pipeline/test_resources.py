@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from schemas.errors import UsageError
-from schemas.safe_reading import LEAST, allowance
+from schemas.safe_reading import MIN_ALLOWANCE, allowance
 from stages.pipeline import resources
 from stages.pipeline.resources import claim, resolved_device
 from stages.run import memory
@@ -84,9 +84,9 @@ def test_one_image_may_take_what_the_run_may():
     claim(None, 50 * 10**9)
     assert 40e9 < allowance() <= 50e9
     claim(None, 256 * 10**6)
-    assert allowance() == LEAST  # the program alone takes more, and a photo must be read all the same
+    assert allowance() == MIN_ALLOWANCE  # the program alone takes more, and a photo must be read all the same
     claim(None, 0)
-    assert LEAST <= allowance() < free()
+    assert MIN_ALLOWANCE <= allowance() < free()
 
 
 @pytest.mark.parametrize(

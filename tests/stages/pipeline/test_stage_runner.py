@@ -11,7 +11,7 @@ from stages.pipeline.distributed import agree
 from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageRunner
 from stages.run.progress import Silent
 from stages.run.runner import Spec
-from stylerf.training.common.process_group import ALONE
+from stylerf.training.common.process_group import SINGLE_PROCESS
 from tests.stages import toy_stage
 from tests.stages.toy_stage import ToyConfig
 
@@ -28,7 +28,7 @@ class Heard(Silent):
 
 def runner(folder, seed: int = 0, only: bool = False) -> StageRunner:
     machine = Machine("cpu", 1, 0)
-    return StageRunner(WorkFolder(folder), seed, machine, Heard(), ALONE, DefaultOptions(), only)
+    return StageRunner(WorkFolder(folder), seed, machine, Heard(), SINGLE_PROCESS, DefaultOptions(), only)
 
 
 def test_prerequisites_are_announced_made_once_and_never_renamed(tmp_path):
@@ -77,4 +77,4 @@ def test_several_processes_use_what_the_first_one_finds():
     assert agree(second, lambda: "fox") == ""
     assert agree(first, lambda: "fox") == "fox"
     assert agree(second, lambda: "") == "fox"
-    assert agree(ALONE, lambda: "den") == "den"
+    assert agree(SINGLE_PROCESS, lambda: "den") == "den"

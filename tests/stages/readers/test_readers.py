@@ -12,7 +12,7 @@ from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
 from stages import region_select
 from stages.artifacts.scene import load_scene
-from stages.artifacts.style_images import read_painting
+from stages.artifacts.style_images import read_style_image
 from stages.evaluation.region_masks import resized_mask
 from stages.pipeline.prerequisites import import_config
 from stages.pose_import import digest_of_source
@@ -95,7 +95,7 @@ def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
         {128},
         {255},
     ]
-    painted = read_painting(photo).numpy()
+    painted = read_style_image(photo).numpy()
     np.testing.assert_allclose(painted[:, 5, [0, 12, 30]], [[1, 0.75, 0.5]] * 3, atol=1e-5)  # over white
 
 

@@ -15,7 +15,7 @@ from stages.configs.faults import FAULTS, METHODS, PALETTE, STYLE
 from stages.configs.stress import StressConfig
 from stages.stress import test_views
 from stages.stress.baseline import compared, read_baseline, write_baseline
-from stages.stress.criteria import LEAST_GAIN, LEAST_STRUCTURE, ViewPair, judge_edit, judge_fit, judge_style
+from stages.stress.criteria import MIN_GAIN, MIN_STRUCTURE, ViewPair, judge_edit, judge_fit, judge_style
 from stages.stress.outcomes import cells_of, load_outcome, save_outcome
 from stages.stress.page import build_page, cell_rows, heat_map, rates, run_rows
 from stages.stress.test_views import side_by_side
@@ -45,7 +45,7 @@ def test_a_fit_is_set_beside_the_best_picture_of_one_color():
         assert verdict.ok == ok and bool(verdict.why) != ok
         assert verdict.score == pytest.approx(-20 * np.log10(error), abs=1e-3)
         assert verdict.figures["gain_over_flat"] == pytest.approx(-20 * np.log10(error) - least, abs=1e-3)
-    assert LEAST_GAIN == 3.0
+    assert MIN_GAIN == 3.0
 
 
 def test_an_object_is_set_beside_its_own_outlines_in_one_color():
@@ -108,7 +108,7 @@ def test_a_stylization_without_structure_fails_however_smooth_the_photo_is():
             verdict = judge_style([ViewPair("v", render, one)], flat)
             assert not verdict.ok and "structure kept" in verdict.why
             # Noise explains a little of anything by chance.
-            assert verdict.score < (1e-6 if render is flat else LEAST_STRUCTURE / 2)
+            assert verdict.score < (1e-6 if render is flat else MIN_STRUCTURE / 2)
     assert judge_style([ViewPair("v", flat, faint)], flat).figures["content_ssim"] > 0.8
     # What was light and became dark is still to be seen.
     assert judge_style([ViewPair("v", 1 - seen, seen)], 1 - seen).ok

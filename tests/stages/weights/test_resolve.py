@@ -341,7 +341,7 @@ def test_cached_weights_without_a_known_digest_must_be_of_our_own_making(nowhere
     save_file(other, cached, metadata={"digest": resolve.state_digest(other)})
     cached.chmod(0o666)
     path.unlink()
-    assert resolve.resolve().name == resolve.found_trunk() == "hed-vgg16"
+    assert resolve.resolve().name == resolve.found_extractor() == "hed-vgg16"
     with pytest.raises(UsageError, match="not here"):
         resolve.resolve("vgg16")
 

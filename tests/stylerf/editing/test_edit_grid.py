@@ -113,14 +113,14 @@ class _slab:
     def __init__(self, at: int) -> None:
         self.at = at
 
-    def sigma(self, points, chunks):
+    def sigma(self, points, threads):
         return np.where(np.floor(points[:, 0] * 16) == self.at, 100.0, 1e-4).astype(np.float32)
 
 
 class _half_full:
     """Raw density 100 where x < 1/2."""
 
-    def sigma(self, points, chunks):
+    def sigma(self, points, threads):
         return np.where(points[:, 0] < 0.5, 100.0, 1e-4).astype(np.float32)
 
 

@@ -10,11 +10,11 @@ from scipy.spatial import ConvexHull, Delaunay
 
 from stylerf.editing.palette_hull import (
     ERROR,
+    cheapest_outside,
     collapsed,
     extracted,
     histogram,
     hull_error,
-    least_outside,
     mixing_weights,
     simplified,
 )
@@ -84,7 +84,7 @@ def test_the_least_point_outside_is_that_of_linear_programming(seed):
     depths, cost = -normals @ generator.random(3) + generator.uniform(-0.02, 0.02, 8), generator.random(8) @ normals
     bounds = [(0.5 - 1.5, 0.5 + 1.5)] * 3
     expected = linprog(cost, A_ub=-normals, b_ub=depths, bounds=bounds)
-    found = least_outside(normals, depths, cost)
+    found = cheapest_outside(normals, depths, cost)
     assert expected.status == 0 and cost @ found == pytest.approx(expected.fun, abs=1e-7)
     assert (normals @ found + depths > -1e-8).all()
 

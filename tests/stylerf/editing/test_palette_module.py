@@ -63,7 +63,7 @@ def test_colors_are_the_formula_over_active_colors_alone(removed):
     made.active[list(removed)] = False
     x, directions = places()
     expected = slow(made, x, directions)
-    found = made.mixture(x, directions, chunks=2)
+    found = made.mixture(x, directions, threads=2)
     close(found.weights, expected.weights, 1e-5)
     close(found.offsets, expected.offsets, 1e-5)
     close(made.colors(x, directions), expected.colors, 1e-5)

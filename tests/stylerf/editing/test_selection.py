@@ -8,7 +8,7 @@ from stylerf.editing.selection import (
     Look,
     SeenCells,
     claimed,
-    halved_light,
+    halved_lightness,
     inside_box,
     inside_sphere,
     modes,
@@ -44,13 +44,11 @@ def test_cells_take_the_colors_of_the_photo_that_sees_them(field):
     photo[:, :12], photo[:, 12:] = (0.9, 0.1, 0.1), (0.1, 0.2, 0.8)
     seen = SeenCells([Look.at(field, camera, photo, 2)], CELLS)
     assert seen.seen.sum() > 20
-    red = seen.like(halved_light(np.array([[0.9, 0.1, 0.1]])), 10)
-    blue = seen.like(halved_light(np.array([[0.1, 0.2, 0.8]])), 10)
+    red = seen.like(halved_lightness(np.array([[0.9, 0.1, 0.1]])), 10)
+    blue = seen.like(halved_lightness(np.array([[0.1, 0.2, 0.8]])), 10)
     assert red.any() and blue.any() and not (red & blue).any()
-    np.testing.assert_array_equal(
-        seen.nearer(halved_light(np.array([[0.9, 0.1, 0.1]])), halved_light(np.array([[0.1, 0.2, 0.8]])))[red | blue],
-        red[red | blue],
-    )
+    nearer = seen.nearer(halved_lightness(np.array([[0.9, 0.1, 0.1]])), halved_lightness(np.array([[0.1, 0.2, 0.8]])))
+    np.testing.assert_array_equal(nearer[red | blue], red[red | blue])
     # x of the camera is x of the cube: what is red lies left of what is blue.
     assert np.argwhere(red)[:, 0].mean() < np.argwhere(blue)[:, 0].mean() - 2
 
@@ -126,7 +124,7 @@ def test_box_and_sphere_hold_the_cells_whose_centers_they_hold():
 def test_light_counts_half_of_color():
     colors = np.array([[0.5, 0.5, 0.5], [0.8, 0.3, 0.2]])
     lab = rgb2lab(colors.reshape(1, 2, 3))[0]
-    found = halved_light(colors)
+    found = halved_lightness(colors)
     np.testing.assert_allclose(found[:, 0], lab[:, 0] / 2, rtol=1e-5)
     np.testing.assert_allclose(found[:, 1:], lab[:, 1:], rtol=1e-4, atol=1e-4)
 

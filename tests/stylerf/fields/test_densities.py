@@ -42,21 +42,21 @@ def test_density_and_its_gradient_equal_the_oracle(made):
     expected = oracle_density(made, values, float64(s.x))
     assert float(expected.detach().max() / expected.detach().min()) > 5
     vm = made.kind == "vm"
-    for chunks in (1, 4):
-        close(made.sigma(s.x, chunks), expected, 2e-6 if vm else 3e-6)
+    for threads in (1, 4):
+        close(made.sigma(s.x, threads), expected, 2e-6 if vm else 3e-6)
     gradients = np.random.default_rng(2).normal(size=len(s.x)).astype(np.float32)
     gradients[3] = 0
     s.sigma[:] = expected.detach()
     at = owned(s)
     assert len(at) < len(s.x)
     (expected[at] * float64(gradients[at])).sum().backward()
-    for chunks in (1, 2):
-        to = buffers(chunks, len(made.values))
+    for threads in (1, 2):
+        to = buffers(threads, len(made.values))
         made.backward(s, gradients, to)
         fixed = made.groups()[0][0]  # the shared block of unallocated ones never learns: its gradient is cleared
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
         close(added(to)[fixed:], values.grad[fixed:], 5e-6 if vm else 1e-5)
-        assert chunks == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
+        assert threads == 1 or np.abs(to[0] - to[1]).max() > 1e-3  # each chunk has its own
 
 
 def test_position_gradient_equals_the_oracle(made):
@@ -69,9 +69,9 @@ def test_position_gradient_equals_the_oracle(made):
     expected = oracle_density(made, float64(made.values), x)
     s.sigma[at] = expected.detach()
     (expected * float64(gradients[at])).sum().backward()
-    for chunks in (1, 2, 3):
+    for threads in (1, 2, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        made.add_position_gradients(s, gradients, out, chunks)
+        made.add_position_gradients(s, gradients, out, threads)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 

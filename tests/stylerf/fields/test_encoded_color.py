@@ -38,11 +38,11 @@ def test_colors_and_gradients_equal_the_oracle(color):
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
     vm = color.kind == "vm"
-    for chunks in (1, 2, 3):
-        found = color.colors(s.shading_points(), basis, chunks)
+    for threads in (1, 2, 3):
+        found = color.colors(s.shading_points(), basis, threads)
         close(found[at][shown], expected[shown], 2e-6 if vm else 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
-        to = buffers(chunks, len(color.values))
+        to = buffers(threads, len(color.values))
         color.backward(s.shading_points(), basis, found, gradients, to)
         fixed = color.groups()[0][0]
         assert not to[:, :fixed].any() and bool(values.grad[:fixed].any()) == (fixed > 0)
@@ -59,9 +59,9 @@ def test_position_gradient_equals_the_oracle(color):
     colors = color.colors(s.shading_points(), basis, 1)
     expected = oracle_color(color, float64(color.values), float64(basis[rays]), x)
     (expected * float64(gradients[at]))[torch.from_numpy(s.weights[at] > 0)].sum().backward()
-    for chunks in (1, 3):
+    for threads in (1, 3):
         out = np.full(s.x.shape, 0.25, np.float32)
-        color.add_position_gradients(s.shading_points(), basis, colors, gradients, out, chunks)
+        color.add_position_gradients(s.shading_points(), basis, colors, gradients, out, threads)
         close(out[at] - 0.25, x.grad, 2e-5)
         assert (np.delete(out, at, 0) == 0.25).all()
 

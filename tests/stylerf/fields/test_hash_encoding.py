@@ -35,9 +35,9 @@ def test_features_and_table_gradient_equal_the_oracle_for_any_number_of_chunks()
     right = expected(made, values, x)
     gradients = np.random.default_rng(3).normal(size=(len(x), made.width)).astype(np.float32)
     (right * float64(gradients)).sum().backward()
-    for chunks in (1, 2):
-        close(made.forward(x, chunks), right, 3e-6)
-        to = np.zeros((chunks, len(made.values)), np.float32)
+    for threads in (1, 2):
+        close(made.forward(x, threads), right, 3e-6)
+        to = np.zeros((threads, len(made.values)), np.float32)
         made.backward(x, gradients, to)
         close(to.sum(0, dtype=np.float64), values.grad, 1e-5)
         assert (np.abs(to).max(1) > 0).all()

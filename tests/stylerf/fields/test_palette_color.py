@@ -67,11 +67,11 @@ def test_colors_and_gradients_equal_the_formula():
     assert 0.02 < expected.detach()[shown].std() and ((expected > 0) & (expected < 1)).float().mean() > 0.6
     gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
-    for chunks in (1, 3):
-        found = color.colors(s.shading_points(), basis, chunks)
+    for threads in (1, 3):
+        found = color.colors(s.shading_points(), basis, threads)
         close(found[at][shown], expected[shown], 1e-5)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 3
-        to = buffers(chunks, len(color.values))
+        to = buffers(threads, len(color.values))
         color.backward(s.shading_points(), basis, found, gradients, to)
         close(added(to), values.grad, 5e-5)
 

@@ -59,15 +59,15 @@ def test_colors_and_gradients_equal_the_oracle():
     expected = oracle(made, values, each, x)
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
-    for chunks in (1, 3):
-        found = made.colors(s.shading_points(), basis, chunks)
+    for threads in (1, 3):
+        found = made.colors(s.shading_points(), basis, threads)
         close(found[at][shown], expected[shown], 5e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).any()
-        to = buffers(chunks, len(made.values))
+        to = buffers(threads, len(made.values))
         made.backward(s.shading_points(), basis, found, gradients, to)
         close(added(to), values.grad, 1e-5)
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s.shading_points(), basis, found, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), basis, found, gradients, out, threads)
         close(out[at] - 0.5, x.grad, 2e-5)
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering import view as module
-from stylerf.rendering.rays import SAMPLES_PER_RAY
 from stylerf.rendering.view import render_view
 from tests.stylerf.rendering.test_view import BOX, camera
 from tests.stylerf.small import SPACES, density, field_of, hash_color

@@ -44,8 +44,8 @@ def test_pixels_and_parameter_gradients_equal_the_oracle(kind, color, displaced)
     field, rays = thin(SPACES[kind], COLORS[color](), displacement=moved), rays_into(SPACES[kind], 40, 4)
     gradients = pixel_gradients(40)
     values = [float64(part.values).requires_grad_() for part in (field.density, field.color)]
-    for chunks in (1, 2):
-        rendered = render_rays(field, rays, threads=chunks, weight_threshold=0.1)
+    for threads in (1, 2):
+        rendered = render_rays(field, rays, threads=threads, weight_threshold=0.1)
         colored = rendered.colors[Packed.of(rendered.samples).at, 0] >= 0
         assert 0.2 < colored.mean() < 0.95
         expected, _ = oracle_pixels(field, rays, rendered, *values, None if moved is None else float64(moved))
@@ -57,7 +57,7 @@ def test_pixels_and_parameter_gradients_equal_the_oracle(kind, color, displaced)
             used[:, 4] *= 1e-2
         loss = (expected * float64(used)).sum()
         wanted = torch.autograd.grad(loss, values)
-        to = [np.zeros((chunks, len(part.values)), np.float32) for part in (field.density, field.color)]
+        to = [np.zeros((threads, len(part.values)), np.float32) for part in (field.density, field.color)]
         backward(field, rendered, used, *to)
         for found, gradient in zip(to, wanted):
             close(found.sum(0, dtype=np.float64), gradient, 1e-4)

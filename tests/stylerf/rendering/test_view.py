@@ -22,9 +22,9 @@ def test_shares_of_a_view_are_the_same_bits_as_the_whole(color):
     field, done = field_of(BOX, 1, color), []
     whole = render_view(field, camera(), threads=1)
     assert 0.2 < (whole.alpha > 0.5).mean() < 1
-    for rays_at_once, chunks in ((7, 1), (50, 3), (117, 2)):
+    for rays_at_once, threads in ((7, 1), (50, 3), (117, 2)):
         done.clear()
-        found = render_view(field, camera(), threads=chunks, rays_at_once=rays_at_once, on_rays=done.append)
+        found = render_view(field, camera(), threads=threads, rays_at_once=rays_at_once, on_rays=done.append)
         for name in ("rgb", "alpha", "ray_distance", "z"):
             assert np.array_equal(getattr(found, name), getattr(whole, name)), name
         assert done[-1] == 117 and done == sorted(done) and len(done) == -(-117 // rays_at_once)

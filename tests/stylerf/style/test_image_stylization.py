@@ -49,17 +49,17 @@ def test_features_take_the_statistics_of_the_painting():
 
 @pytest.mark.realdata
 def test_the_real_decoder_gives_a_photo_back_and_a_painting_changes_it(data_dir, monkeypatch, tmp_path):
-    from stages.artifacts.style_images import read_painting
+    from stages.artifacts.style_images import read_style_image
     from stages.weights.resolve import resolve, resolve_decoder
 
     monkeypatch.setenv("STYLERF_WEIGHTS", str(data_dir / "weights"))
     monkeypatch.setenv("STYLERF_CACHE", str(tmp_path))
     found, decoder = resolve("vgg19-wct"), Decoder(resolve_decoder().state)
     trunk = FeatureExtractor(found.state, "conv3_1", found.kind)
-    photo = resized(read_painting(data_dir / "styles" / "great_wave.jpg"), 122, 161)
+    photo = resized(read_style_image(data_dir / "styles" / "great_wave.jpg"), 122, 161)
     back = adain_picture(trunk, decoder, photo, photo)
     assert back.shape == photo.shape and float((back - photo).abs().mean()) < 0.06
-    painting = read_painting(data_dir / "styles" / "starry_night.jpg")[:, :200, :300]
+    painting = read_style_image(data_dir / "styles" / "starry_night.jpg")[:, :200, :300]
     styled = adain_picture(trunk, decoder, photo, painting)
     apart = [float((p.mean((1, 2)) - painting.mean((1, 2))).abs().mean()) for p in (photo, styled)]
     assert apart[1] < 0.6 * apart[0]

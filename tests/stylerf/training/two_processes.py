@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from stylerf.training.common.process_group import ALONE, DistributedProcesses, ProcessGroup
+from stylerf.training.common.process_group import SINGLE_PROCESS, DistributedProcesses, ProcessGroup
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner, FineTuneSettings
 from stylerf.training.fit.fitter import Fitter
 from stylerf.training.fit.settings import FitSettings
@@ -19,15 +19,15 @@ from tests.stylerf.training.scenes import AROUND, LEVELS, box_bank, settings
 MORE = {"level_ends": (0.36,), "background": "random", "smoothness": (1e-4, 1e-4), "min_gain": 9.0, "samples": 4000}
 
 
-def fitted(steps: int, chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
+def fitted(steps: int, threads: int, ranks: ProcessGroup = SINGLE_PROCESS) -> dict[str, np.ndarray]:
     """A fit that trains on held-out views at its end; in 280 steps it tries one level and drops it.
 
     Several processes begin from a checkpoint.
     """
-    fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, group=ranks)
+    fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, threads, group=ranks)
     if ranks.count > 1:
         begun = run_until(fitter, 3)
-        fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, chunks, group=ranks)
+        fitter = Fitter(AROUND, box_bank(), 2, settings(steps, **MORE), 0, threads, group=ranks)
         fitter.resume(*ranks.checkpoint(begun.checkpoint() if ranks.first else None))
         assert fitter.state.step == 3
     fitter.run()
@@ -41,7 +41,7 @@ def timed(ranks: ProcessGroup) -> dict[str, np.ndarray]:
     return outcome(fitter)
 
 
-def tuned(chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
+def tuned(threads: int, ranks: ProcessGroup = SINGLE_PROCESS) -> dict[str, np.ndarray]:
     """A fine-tuning of a field that has hardly begun, with edited pixels anywhere."""
     fitter = Fitter(AROUND, box_bank(), 0, settings(20), 0, 1)
     fitter.run()
@@ -50,7 +50,7 @@ def tuned(chunks: int, ranks: ProcessGroup = ALONE) -> dict[str, np.ndarray]:
     depth = generator.random(300, np.float32) + 1
     pixels = EditedPixels(views[:300], numbers[:300], depth, (views[300:], numbers[300:]))
     more = {"steps": 20, "rays": 501, "depth_weight": 0.1, "smoothness": 1e-4}
-    tuner = FineTuner(fitter.field, fitter.dataset, pixels, FineTuneSettings(**more), 0, chunks, ranks)
+    tuner = FineTuner(fitter.field, fitter.dataset, pixels, FineTuneSettings(**more), 0, threads, ranks)
     tuner.run()
     return outcome(tuner)
 

@@ -11,17 +11,17 @@ def gradients_of(step: int, length: int) -> np.ndarray:
     return np.random.default_rng([1, step]).normal(size=length).astype(np.float32)
 
 
-@pytest.mark.parametrize("chunks", [1, 3])
-def test_steps_equal_torch_and_clear_the_buffers(chunks):
+@pytest.mark.parametrize("threads", [1, 3])
+def test_steps_equal_torch_and_clear_the_buffers(threads):
     length, rates = 45, [0.1, 0.05, 0.02, 0.01]
     start = np.random.default_rng(0).normal(size=length).astype(np.float32)
     values = start.copy()
-    adam = Adam(values, [(0, length, 1.0)], chunks)
+    adam = Adam(values, [(0, length, 1.0)], threads)
     leaf = torch.from_numpy(start.astype(np.float64)).requires_grad_()
     reference = torch.optim.Adam([leaf], lr=1.0, betas=(BETA1, BETA2), eps=EPSILON)
     for step, rate in enumerate(rates):
         gradient = gradients_of(step, length)
-        shares = np.random.default_rng(2).dirichlet(np.ones(chunks))
+        shares = np.random.default_rng(2).dirichlet(np.ones(threads))
         adam.gradients[:] = shares[:, None] * gradient
         adam.step(rate)
         assert not adam.gradients.any()
@@ -48,7 +48,7 @@ def test_runs_without_a_gradient_are_left_as_they_are_and_others_go_on():
     np.testing.assert_allclose(values[:8][np.arange(8) != 3], expected, rtol=1e-5)
 
 
-def test_gradients_that_cancel_between_chunks_count_as_touched():
+def test_gradients_that_cancel_between_threads_count_as_touched():
     values = np.zeros(8, np.float32)
     adam = Adam(values, [(0, 8, 1.0)], 2)
     adam.gradients[0], adam.gradients[1] = 1.0, -1.0
@@ -81,7 +81,7 @@ def test_restored_moments_go_on_bit_by_bit():
 
 
 def test_a_skip_is_shortened_to_what_is_usual_and_the_direction_stays():
-    """Gradients split over two chunks; lengths by another norm."""
+    """Gradients split over two threads; lengths by another norm."""
     whole = gradients_of(1, 30)
     parts = np.stack([0.25 * whole, 0.75 * whole])
     usual = clipped(parts, 2.0, 0.0, 0)

@@ -55,8 +55,8 @@ def test_displacement_gradient_equals_the_oracle(kind):
     sides = ((x == 0) | (x == 1))[moves].any(1).sum()
     assert 10 < int(sides) < len(packed.at) / 2
     (x * float64(gradients[packed.at]))[moves].sum().backward()
-    for chunks in (1, 2, 3):
-        to = np.ones((chunks, moved.size), np.float32)
+    for threads in (1, 2, 3):
+        to = np.ones((threads, moved.size), np.float32)
         displacement_gradient(space, rays, found, gradients, len(moved), to)
         close((to.astype(np.float64) - 1).sum(0), grid.grad.flatten(), 2e-5)
 

@@ -37,11 +37,11 @@ def test_color_and_table_gradient_equal_the_oracle(layout):
     expected = oracle_color(made, values, None, float64(s.x[at]))
     gradients = np.random.default_rng(3).normal(size=(len(s.x), 3)).astype(np.float32)
     (expected * float64(gradients[at]))[shown].sum().backward()
-    for chunks in (1, 2):
-        found = made.colors(s.shading_points(), None, chunks)
+    for threads in (1, 2):
+        found = made.colors(s.shading_points(), None, threads)
         close(found[at][shown], expected[shown], 3e-6)
         assert (found[at][~shown, 0] == -1).all() and (~shown).sum() == 2
-        to = buffers(chunks, len(made.values))
+        to = buffers(threads, len(made.values))
         made.backward(s.shading_points(), None, found, gradients, to)
         close(added(to), values.grad, 1e-5)
 
@@ -57,9 +57,9 @@ def test_position_gradient_equals_the_oracle(layout):
     colors = made.colors(s.shading_points(), None, 1)
     shown = torch.from_numpy(s.weights[at] > 0)
     (oracle_color(made, float64(made.values), None, x) * float64(gradients[at]))[shown].sum().backward()
-    for chunks in (1, 3):
+    for threads in (1, 3):
         out = np.full(s.x.shape, 0.5, np.float32)
-        made.add_position_gradients(s.shading_points(), None, colors, gradients, out, chunks)
+        made.add_position_gradients(s.shading_points(), None, colors, gradients, out, threads)
         close(out[at] - 0.5, x.grad, 1e-5)
         assert (np.delete(out, at, 0) == 0.5).all()
 

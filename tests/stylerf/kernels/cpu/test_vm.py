@@ -40,9 +40,9 @@ def basis_of(s: Samples, degree: int) -> np.ndarray:
     return harmonics(way / np.linalg.norm(way, axis=1, keepdims=True), degree)
 
 
-def buffers(chunks: int, length: int) -> np.ndarray:
+def buffers(threads: int, length: int) -> np.ndarray:
     """Not empty: kernels add to what is there."""
-    return np.tile(np.linspace(-1, 1, length, dtype=np.float32), (chunks, 1))
+    return np.tile(np.linspace(-1, 1, length, dtype=np.float32), (threads, 1))
 
 
 def added(to: np.ndarray) -> np.ndarray:

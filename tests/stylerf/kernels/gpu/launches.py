@@ -4,7 +4,9 @@ import torch
 
 from stylerf.editing.palette_module_gpu import GpuPaletteModule
 from stylerf.fields.gpu.field import GpuField, unsupported
+from stylerf.kernels.cpu.adam import AdamRates
 from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.ray_samples import GpuAdamState
 from stylerf.training.edit.trainer import EditSettings, start_module
 from tests.stylerf.editing.region_pictures import view_of
 from tests.stylerf.fields.test_region_color import CELLS, patch
@@ -47,7 +49,7 @@ def everything() -> None:
         field = field_of(SPACES[kind], 3, color, 1 / 8, displacement_grid(6) if displaced else None)
         field.density = density_of(3)
         made, rays = GpuField(field, "cpu", half), device_rays(rays_into(SPACES[kind], 8, 4), torch.device("cpu"))
-        rendered = made.render_rays(rays, room=64)
+        rendered = made.render_rays(rays, capacity=64)
         rendered.with_surface_distance()
         to = [torch.zeros_like(part.values) for part in (made.density, made.color)]
         sums = torch.zeros(3)
@@ -60,7 +62,8 @@ def everything() -> None:
         made.color.smooth(0.1, to[1])
         made.density.sigma(torch.zeros(5, 3))
         moments = [torch.zeros_like(to[0]) for _ in range(2)]
-        launch.adam(made.density.values, to[0], *moments, 0.1, (0.9, 0.99), 1e-15, (0.1, 0.01), 0, len(to[0]))
+        state = GpuAdamState(made.density.values, to[0], *moments)
+        launch.adam(state, AdamRates(0.1, 0.9, 0.99, 1e-15, 0.1, 0.01), 0, len(to[0]))
     launch.shade_backward(rendered.samples, torch.zeros(8, 3))
     launch.displaced_cells(made.distances, made.cells, 2, torch.zeros(3 * 5**3), 5)
     from stylerf.training.common.ray_dataset_gpu import GpuRayDataset

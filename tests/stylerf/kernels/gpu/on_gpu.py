@@ -73,8 +73,8 @@ def packed_samples(points: np.ndarray, rays: np.ndarray, weights: np.ndarray, de
     ends = np.cumsum(counts)
     largest = np.zeros(count, np.float32)
     np.maximum.at(largest, rays, weights)
-    room = {"t": (), "deltas": (), "x": (3,), "sigma": (), "weights": ()}
-    arrays = {name: torch.full((n + spare, *shape), float("nan"), device=device) for name, shape in room.items()}
+    capacity = {"t": (), "deltas": (), "x": (3,), "sigma": (), "weights": ()}
+    arrays = {name: torch.full((n + spare, *shape), float("nan"), device=device) for name, shape in capacity.items()}
     ray_of = torch.full((n + spare,), 1 << 20, dtype=torch.int32, device=device)
     for to, what in ((arrays["x"], points), (arrays["weights"], weights), (ray_of, rays)):
         to[:n] = torch.from_numpy(what).to(device)

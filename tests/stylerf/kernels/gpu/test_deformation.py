@@ -202,8 +202,8 @@ def test_rays_without_samples_teach_the_grid_nothing(device):
     field = field_of(SPACES["box"], 3, hash_color(5), 1 / 8, displacement_grid(6))
     rays, made = rays_into(SPACES["box"], 5, 4), GpuField(field, device)
     rays.directions[:] *= -1
-    for room in (None, 40):
-        rendered = made.render_rays(device_rays(rays, device), room=room)
+    for capacity in (None, 40):
+        rendered = made.render_rays(device_rays(rays, device), capacity=capacity)
         to = torch.full((375,), 0.5, device=device)
         made.backward(rendered, torch.ones((5, 5), device=device), None, None, to)
         assert int(rendered.samples.total) == 0 and bool((to == 0.5).all())

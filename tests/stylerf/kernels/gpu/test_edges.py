@@ -73,7 +73,7 @@ def test_rays_beyond_the_room_get_no_sample_and_count_for_nothing(device):
 
     rays = along_x(*[(-1, 0.5, 0.5)] * 4)
     made = device_field(even_fog(0.001), device)
-    found = made.render_rays(device_rays(rays, device), room=20, min_transmittance=0.0)
+    found = made.render_rays(device_rays(rays, device), capacity=20, min_transmittance=0.0)
     s = found.samples
     assert s.counts.tolist() == [8] * 4 and (s.ends - s.starts).tolist() == [8, 8, 0, 0] and int(s.total) == 16
     sums, wanted = torch.zeros(3, device=device), torch.zeros((4, 4), device=device)
@@ -107,8 +107,8 @@ def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, m
 
     march_rays = launch._march_rays
 
-    def miscounted(inputs, density, rays, samples, last, room, fill):
-        march_rays(inputs, density, rays, samples, last, room, fill)
+    def miscounted(inputs, density, rays, samples, last, capacity, fill):
+        march_rays(inputs, density, rays, samples, last, capacity, fill)
         if not fill:
             samples.counts -= 1
 

@@ -293,7 +293,7 @@ def small_fitter(bank, device, steps=3):
     given = settings(steps, samples=300, levels=(CapacityLevel(8, 16, 24, 8),), level_ends=(), background="random")
     made = Fitter(AROUND, bank, 0, given, 0, 1, engine=functools.partial(GpuEngine, device=device, samples=300))
     made.state.rays = 32
-    made._held_out_rays = tuple(a[:32] for a in made._held_out_rays)
+    made.held_out_rays.rays = tuple(a[:32] for a in made.held_out_rays.rays)
     made.warm_up = lambda: None
     return made
 

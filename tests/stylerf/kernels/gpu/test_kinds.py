@@ -73,7 +73,7 @@ def test_a_density_and_its_gradient_equal_the_oracle(density, count, device):
     close(made.sigma(torch.from_numpy(x).to(device)).cpu(), expected, 3e-6)
     assert made.sigma(torch.empty((0, 3), device=device)).shape == (0,)
     s.sigma[:count] = expected.detach().float().to(device)
-    gradients = np.full(s.room, np.nan, np.float32)
+    gradients = np.full(s.capacity, np.nan, np.float32)
     gradients[:count] = np.random.default_rng(2).normal(size=count)
     gradients[3 : count - 1 : 11] = 0
     (expected * float64(gradients[:count])).sum().backward()
@@ -108,7 +108,7 @@ def test_a_color_and_its_gradient_equal_the_oracle(encoder, head, count, device)
     assert bool((found[:count, 0].cpu()[~shown] == -1).all())
     gradients = torch.randn((count, 3), generator=torch.Generator().manual_seed(4))
     (expected * gradients.double())[shown].sum().backward()
-    to, poisoned = torch.zeros_like(made.values), torch.full((s.room, 3), float("nan"), device=device)
+    to, poisoned = torch.zeros_like(made.values), torch.full((s.capacity, 3), float("nan"), device=device)
     poisoned[:count][shown.to(device)] = gradients[shown].to(device)
     found[count:] = float("nan")
     for _ in range(2):

@@ -135,9 +135,9 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
     monkeypatch.setattr(ray_dataset_gpu, "AT_ONCE", 100)
     made = ray_dataset_gpu.GpuRayDataset(bank, device)
     assert len(read) == -(-len(plain.bytes) // 100) and set(read) == {-(-100 // STRETCH)}
-    assert np.array_equal(made.bytes.cpu(), plain.bytes)
+    assert np.array_equal(made.photos.bytes.cpu(), plain.bytes)
     lit = plain.lit[np.arange(plain.lit.below(len(plain)))]
-    assert len(lit) > 200 and np.array_equal(made.lit.cpu(), lit) and made.lit.dtype == torch.int32
+    assert len(lit) > 200 and np.array_equal(made.photos.lit.cpu(), lit) and made.photos.lit.dtype == torch.int32
 
 
 def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):

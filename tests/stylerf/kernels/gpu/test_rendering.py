@@ -61,7 +61,7 @@ def walked(case: str, device, rays: int = 14):
 def test_every_sample_equals_the_oracle_at_its_distance(case, device):
     field, rays, _, rendered, _, _ = walked(case, device)
     space, packed = field.space, Packed.of(on_host(rendered.samples))
-    assert len(packed.rays) == int(rendered.samples.total) == rendered.samples.room > 20
+    assert len(packed.rays) == int(rendered.samples.total) == rendered.samples.capacity > 20
     assert torch.equal(rendered.samples.ray_of.cpu().long(), packed.rays)
     where, ways = points_on(rays, packed)
     x, end = torch_reference.warp(space, where), packed.background
@@ -131,7 +131,7 @@ def test_near_samples_learn_by_the_square_of_their_distance(device):
     close(far[0], plain[0], 1e-6)
     from stylerf.kernels.cpu.compositing import composite_backward, scale_near_gradients
 
-    s, n = on_host(rendered.samples), rendered.samples.room
+    s, n = on_host(rendered.samples), rendered.samples.capacity
     sigma, color = np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
     colors = rendered.colors.cpu().numpy()
     composite_backward(s, colors, rendered.out.cpu().numpy(), towards, 1, sigma, color)

@@ -9,7 +9,7 @@ import torch
 from torch import distributed
 
 from stylerf.errors import InvalidValue
-from stylerf.training.common.process_group import ALONE, DistributedProcesses
+from stylerf.training.common.process_group import SINGLE_PROCESS, DistributedProcesses
 from tests.processes import ended, start
 from tests.stylerf.training import two_processes
 
@@ -36,7 +36,7 @@ def assert_same(found: list[dict[str, np.ndarray]], alone: dict[str, np.ndarray]
 
 
 def test_two_processes_fit_as_one_with_the_rays_of_both(together):
-    """The same bits, since both add as many buffers: one chunk in each, two chunks in one process."""
+    """The same bits, since both add as many buffers: one thread in each, two threads in one process."""
     state = assert_same([together["fit0"], together["fit1"]], two_processes.fitted(40, 2))
     assert state["step"] == 40 and len(state["curve"]) > 10
 
@@ -91,9 +91,10 @@ def test_a_gpu_that_cannot_be_used_is_reported_to_the_others(monkeypatch):
 
 def test_one_process_has_it_all():
     values, buffers = np.arange(3.0), np.ones((2, 4))
-    ALONE.add(values)
-    ALONE.add_gradients(buffers)
-    assert ALONE.own(7) == slice(0, 7) and ALONE.of_first(2.5) == 2.5 and ALONE.checkpoint(None) is None
+    SINGLE_PROCESS.add(values)
+    SINGLE_PROCESS.add_gradients(buffers)
+    assert SINGLE_PROCESS.own(7) == slice(0, 7) and SINGLE_PROCESS.of_first(2.5) == 2.5
+    assert SINGLE_PROCESS.checkpoint(None) is None
     assert values.tolist() == [0, 1, 2] and (buffers == 1).all()
 
 

@@ -78,10 +78,10 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
 
 def test_held_out_views_are_judged_where_masks_show_them():
     space, bank = masked_wall(12)
-    held_out = Fitter(space, bank, 2, settings(3), 0, 1)._held_out_rays
+    held_out = Fitter(space, bank, 2, settings(3), 0, 1).held_out_rays.rays
     assert 7000 < len(held_out[0]) < 9000
     np.testing.assert_allclose(held_out[2], np.broadcast_to(np.float32([180, 120, 60, 255]) / 255, held_out[2].shape))
-    assert len(Fitter(space, masked_wall(24)[1], 2, settings(3), 0, 1)._held_out_rays[0]) == 16384
+    assert len(Fitter(space, masked_wall(24)[1], 2, settings(3), 0, 1).held_out_rays.rays[0]) == 16384
 
 
 def test_another_seed_is_another_fit_and_the_same_seed_the_same():

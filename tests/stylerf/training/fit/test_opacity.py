@@ -43,7 +43,7 @@ def seen(fitter) -> np.ndarray:
     from stylerf.kernels.cpu.ray_samples import Rays
     from stylerf.rendering.rays import render_rays
 
-    origins, directions = fitter._held_out_rays[:2]
+    origins, directions = fitter.held_out_rays.rays[:2]
     rays = Rays.of(origins[:4096], directions[:4096], fitter.field.space.near)
     return np.clip(render_rays(fitter.field, rays, threads=1).out[:, 3], 0, 1)
 
@@ -66,7 +66,7 @@ def test_pale_matter_is_reported_from_a_white_background():
     for weight in (0.0, 0.1):
         fitter = box_fitter(300, bank=bank, levels=LEVELS[-1:], level_ends=(), held_out_until=1.0, coverage=weight)
         fitter.run()
-        wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)
+        wanted, alpha = fitter.held_out_rays.rays[2][:4096, 3], seen(fitter)
         covered.append(float(alpha[wanted > 0.5].mean()))
         errors.append(float(np.square(alpha - wanted).mean()))
     assert covered[0] < 0.7 and covered[1] > 0.9
@@ -80,5 +80,5 @@ def test_a_white_ball_that_is_missing_before_white_is_no_good_fit():
     fitter = box_fitter(300, bank=bank, levels=LEVELS[-1:], level_ends=(), held_out_until=1.0, coverage=0.3)
     fitter.run()
     assert fitter.state.rollbacks == 0
-    wanted, alpha = fitter._held_out_rays[2][:4096, 3], seen(fitter)
+    wanted, alpha = fitter.held_out_rays.rays[2][:4096, 3], seen(fitter)
     assert alpha[wanted > 0.5].mean() > 0.9 and fitter.held_out_psnr() > missing.held_out_psnr() + 6

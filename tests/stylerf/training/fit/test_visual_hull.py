@@ -50,7 +50,7 @@ def test_fewer_cells_are_clear_where_more_views_have_to_agree(seen):
 
 
 def test_threads_do_not_change_what_is_found(seen):
-    assert np.array_equal(*(clear_cells(*seen, AROUND, CELLS, 0.05, chunks) for chunks in (1, 5)))
+    assert np.array_equal(*(clear_cells(*seen, AROUND, CELLS, 0.05, threads) for threads in (1, 5)))
 
 
 def test_a_mask_that_is_lost_clears_nothing_and_one_that_is_dirty_hides_nothing(seen):
