@@ -101,7 +101,7 @@ def diagonal_variation(image: Tensor) -> Tensor:
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
-POSITIONS = 4096  # features of a block that transport matches at a time
+POSITIONS = 2048  # features of a block that transport matches at a time
 CELLS = 32  # along the longer side: the resolution at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of an image
 EVERYTHING: Window = (slice(None), slice(None))
@@ -294,7 +294,7 @@ class TransportObjective(StyleObjective):
     """
 
     def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        self.style = {block: style_rows(feature, min(most_rows, POSITIONS), seed) for block, feature in found.items()}
+        self.style = {block: style_rows(feature, most_rows, seed) for block, feature in found.items()}
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
         rows, flat = rows_of(feature), None if weights is None else weights.flatten()

@@ -14,6 +14,7 @@ edges is that of CCFT ("SceneStyler", arXiv 2606.26754).
 """
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 NEIGHBORS = 16  # K
@@ -52,4 +53,4 @@ def transport_targets(
         scaling = torch.where(reached > 0, (wanted / arriving.clamp_min(1e-30)) ** exponent, scaling)
     plan = kernel * scaling[chosen]
     plan = plan / plan.sum(1, keepdim=True)
-    return torch.bmm(plan[:, None], style[flat].view(*chosen.shape, -1))[:, 0]
+    return F.embedding_bag(chosen, style, per_sample_weights=plan, mode="sum")
