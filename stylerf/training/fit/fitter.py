@@ -47,6 +47,7 @@ SEEN_FROM = 0.2  # of the budget; from here on, cells that no ray sees anything 
 DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6  # of the budget
 OPACITY_FROM = 0.25  # of the budget
 MOST_ROLLBACKS = 4
+CHECK_EVERY = 0.04  # of the budget
 USABLE_FROM = 0.5  # of the budget; from here on the best field so far is worth more than an error
 
 
@@ -90,6 +91,7 @@ class Fitter:
         self.state = FitState()
         self.search = CapacitySearch(settings, self.state, self._judges)
         self._warm: set[tuple[int, int, int]] = set()
+        self.checks, self.check_seconds = 0, 0.0  # of this process, and how long the last one took beside the budget
         level, generator = settings.levels[0], np.random.default_rng([seed, 1])
         self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
@@ -261,9 +263,14 @@ class Fitter:
             least_weight=settings.least_weight if self.progress >= SEEN_FROM else 0.0,
         )
 
+    @property
+    def held_out_rays(self) -> int:
+        """Rays that a check renders."""
+        return len(self._held_out_rays[0])
+
     # -- the loop ---------------------------------------------------------------------------------------------------
 
-    def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = 0.04) -> None:
+    def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = CHECK_EVERY) -> None:
         """Train until the budget is spent, calling `on_step` after every step.
 
         check_every: fraction of the budget between evaluations on the held-out views.
@@ -324,7 +331,9 @@ class Fitter:
         self.engine.settle()
         state.seconds += self.group.of_first(time.perf_counter() - begun)
         self.engine.agree()
+        begun = time.perf_counter()
         quality = self.held_out_psnr()
+        self.checks, self.check_seconds = self.checks + 1, time.perf_counter() - begun
         recovering = state.trial is not None and not state.trial.grows
         # A fall this deep is not noise: the fit is collapsing, and more training would make it worse.
         fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0 and not recovering  # NaN counts as a fall
