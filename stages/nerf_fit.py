@@ -1,5 +1,6 @@
 """Fit: a radiance field from a scene's training views."""
 
+import time
 from contextlib import nullcontext
 
 import numpy as np
@@ -137,7 +138,7 @@ def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) ->
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context: Context) -> None:
-    steps, estimated = fitter.settings.steps, False
+    steps, estimated, begun = fitter.settings.steps, False, time.monotonic()
     if not steps:
         context.progress.say(_beside_training(config, fitter))
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
@@ -146,7 +147,7 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
         nonlocal estimated
         if not steps and not estimated and now.checks == ESTIMATED_AFTER_CHECKS:
             estimated = True
-            context.progress.say(_in_all(config, now))
+            context.progress.say(_in_all(config, now, time.monotonic() - begun))
         if now.state.step % 10 == 0:
             last, note = now.state.curve[-1] if now.state.curve else {}, ""
             if last:
@@ -164,15 +165,19 @@ def _beside_training(config: FitConfig, fitter: Fitter) -> str:
     return f"{fitter.settings.seconds:.0f} s of training; on top of it come {checks}{views}"
 
 
-def _in_all(config: FitConfig, fitter: Fitter) -> str:
-    """Estimate the time in all from the last check: rays take as long in other checks, and in views rendered after."""
+def _in_all(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
+    """Estimate the time in all from the last check: rays take as long in other checks, and in views rendered after.
+
+    elapsed: seconds since kernels began to load. Larger fields, and prunings that are tried, take longer.
+    """
     budget, each = fitter.settings.seconds, fitter.check_seconds
     checks = each / CHECK_EVERY
     pixels = sum(camera.width * camera.height for camera in fitter.dataset.cameras)
     views = pixels * each / fitter.held_out_rays if config.buffers else 0.0
-    parts = [f"{budget:.0f} s of training", f"{checks:.0f} s of checks"]
+    loading = max(0.0, elapsed - fitter.state.seconds - fitter.checks * each)
+    parts = [f"{budget:.0f} s of training", f"{loading:.0f} s of loading", f"{checks:.0f} s of checks"]
     parts += [f"{views:.0f} s of rendering {len(fitter.dataset.cameras)} views"] if config.buffers else []
-    return f"about {budget + checks + views:.0f} s in all: {', '.join(parts)}"
+    return f"about {budget + loading + checks + views:.0f} s or more in all: {', '.join(parts)}"
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:
