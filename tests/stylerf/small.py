@@ -165,7 +165,9 @@ class Packed:
         spans = [np.arange(a, b) for a, b in zip(samples.starts, samples.ends)]
         at = np.concatenate(spans) if spans else np.empty(0, np.int64)
         rays = np.repeat(np.arange(len(samples.ends)), samples.ends - samples.starts)
-        parts = (float64(array[at]) for array in (samples.t, samples.deltas, samples.x, samples.sigma, samples.weights))
+        parts = (
+            float64(array[at]) for array in (samples.t, samples.deltas, samples.x, samples.sigma, samples.weights)
+        )
         return Packed(at, torch.from_numpy(rays), *parts)
 
 
