@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,7 @@ _SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
 _SEVERAL = 4  # decoded bytes for each stored byte, at most
 _DECODED_BY_ROWS = (b"v/1\x01", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"#?", b"\x89PNG", b"\xff\xd8\xff")
 _SLOW = (b"\0\0\0\x0c", b"\xff\x4f\xff\x51")
+_opening = threading.Lock()  # the limit belongs to the process: no other thread may change it before the file is open
 _CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d+)", re.S)
 
 
@@ -75,11 +77,12 @@ def _open(path: Path) -> "oiio.ImageInput":
         raise BadInput(f"{path}: no such image file") from None
     if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # codecs take UTF-8 only
         raise BadInput(f"{name}: its name is not UTF-8; rename it")
-    oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come premultiplied and rounded to 8 bits
     _error_of(oiio)  # clear the error of an earlier file
-    source = oiio.ImageInput.open(str(path), settings)
+    with _opening:
+        oiio.attribute("limits:imagesize_MB", _most_to_open(head) >> 20)
+        source = oiio.ImageInput.open(str(path), settings)
     if source is None:
         error = _error_of(oiio)
         if claimed := _CLAIMED.search(error):

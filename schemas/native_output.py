@@ -36,6 +36,24 @@ def native_output_restored() -> Iterator[None]:
             _restore()
 
 
+@contextmanager
+def native_output_audible() -> Iterator[None]:
+    """Let what the command prints inside the block through, although other threads are inside native_output_silenced.
+
+    Must not be entered from inside a silenced block's own native call, nor nested.
+    """
+    with _lock:
+        if (saved := _saved) is None:
+            yield
+            return
+        for number, copy in zip((1, 2), saved):
+            os.dup2(copy, number)
+        try:
+            yield
+        finally:
+            _silence()
+
+
 def _enter() -> None:
     global _depth, _saved  # noqa: PLW0603 - descriptors belong to the process, so the count of users does too
     with _lock:
@@ -47,10 +65,14 @@ def _enter() -> None:
         except OSError:  # closed, as in a daemon: nothing to silence
             _saved = None
             return
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
-        os.close(nowhere)
+        _silence()
+
+
+def _silence() -> None:
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.dup2(nowhere, 2)
+    os.close(nowhere)
 
 
 def _leave() -> None:

@@ -70,7 +70,7 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=6, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=7, writes="report", outside=digests_of_files)
 STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
 
 

@@ -1,5 +1,6 @@
 """Fit: a radiance field from a scene's training views."""
 
+import time
 from contextlib import nullcontext
 
 import numpy as np
@@ -29,7 +30,7 @@ from stages.run.training_loop import resumed, run_training
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import fit_engine
-from stylerf.training.fit.fitter import Fitter
+from stylerf.training.fit.fitter import CHECK_EVERY, Fitter
 from stylerf.training.fit.settings import (
     LEVELS,
     CapacityLevel,
@@ -49,6 +50,7 @@ FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
 FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of five levels
 # In a contraction, steps after which levels end at the latest (FitSettings).
 LEVEL_MAX_STEPS = (350, 850, 1350, 1900, 2600)
+ESTIMATED_AFTER_CHECKS = 2  # the first one loads kernels
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -136,10 +138,16 @@ def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) ->
 
 
 def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context: Context) -> None:
-    steps = fitter.settings.steps
+    steps, estimated, begun = fitter.settings.steps, False, time.monotonic()
+    if not steps:
+        context.progress.say(_beside_training(config, fitter))
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
     def report(now: Fitter) -> None:
+        nonlocal estimated
+        if not steps and not estimated and now.checks == ESTIMATED_AFTER_CHECKS:
+            estimated = True
+            context.progress.say(_in_all(config, now, time.monotonic() - begun))
         if now.state.step % 10 == 0:
             last, note = now.state.curve[-1] if now.state.curve else {}, ""
             if last:
@@ -148,6 +156,28 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
             context.progress.update(done, f"{note}, {now.parameters / 1e6:.2f} M parameters")
 
     run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, report)
+
+
+def _beside_training(config: FitConfig, fitter: Fitter) -> str:
+    """Say what a time budget does not contain."""
+    checks = f"loading kernels and {round(1 / CHECK_EVERY)} checks on held-out or training views"
+    views = ", then views to EXR and PNG (not with --no-buffers)" if config.buffers else ""
+    return f"{fitter.settings.seconds:.0f} s of training; on top of it come {checks}{views}"
+
+
+def _in_all(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
+    """Estimate the time in all from the last check: rays take as long in other checks, and in views rendered after.
+
+    elapsed: seconds since kernels began to load. Larger fields, and prunings that are tried, take longer.
+    """
+    budget, each = fitter.settings.seconds, fitter.check_seconds
+    checks = each / CHECK_EVERY
+    pixels = sum(camera.width * camera.height for camera in fitter.dataset.cameras)
+    views = pixels * each / len(fitter.held_out_rays.rays[0]) if config.buffers else 0.0
+    loading = max(0.0, elapsed - fitter.state.seconds - fitter.checks * each)
+    parts = [f"{budget:.0f} s of training", f"{loading:.0f} s of loading", f"{checks:.0f} s of checks"]
+    parts += [f"{views:.0f} s of rendering {len(fitter.dataset.cameras)} views"] if config.buffers else []
+    return f"about {budget + loading + checks + views:.0f} s or more in all: {', '.join(parts)}"
 
 
 def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:

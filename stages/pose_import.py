@@ -11,16 +11,18 @@ from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
 from schemas.safe_names import printable
+from schemas.safe_reading import allowance
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import ImportConfig
 from stages.readers import found_in, read_source
-from stages.readers.background import Background
+from stages.readers.background import Background, Evidence, evidence_of
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
 from stages.readers.transforms import lists_of
+from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.sfm.reconstruction import reconstructed
@@ -70,6 +72,7 @@ SPEC = Spec(
     outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
 )  # fmt: skip
 FEWEST_PHOTOS = 2
+DEVELOPING_BYTES = 64  # per pixel: four channels of 4 bytes, and at most three copies of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,12 +220,22 @@ def _develop(
 ) -> Background:
     """Write images/NNN.png; return what they reveal about the background."""
     developer, background = Developer(), Background(config.background)
+
+    def develop(job: tuple[int, Sized, Camera]) -> Evidence:
+        index, one, camera = job
+        pixels = developer.picture(one, (camera.width, camera.height))
+        found = evidence_of(pixels)
+        write_png(partial.path / _image(index), to_uint8(background.shown(pixels)))
+        return found
+
     context.progress.start("import", len(photos), "photo")
-    for index, (one, camera) in enumerate(zip(photos, cameras, strict=True)):
-        pixels = background.seen(developer.picture(one, (camera.width, camera.height)))
-        write_png(partial.path / _image(index), to_uint8(pixels))
-        del pixels  # or two photos would be held while the next is read
-        context.progress.update(index + 1)
+    jobs = ((index, *pair) for index, pair in enumerate(zip(photos, cameras, strict=True)))
+    # As many at once as fit: decoding is half of the work, compressing most of the rest, and codecs use one core.
+    takes = DEVELOPING_BYTES * max(one.size[0] * one.size[1] for one in photos)
+    at_once = max(1, min(context.threads, allowance() // takes))
+    for done, found in enumerate(in_order(develop, jobs, at_once), start=1):
+        background.seen(found)
+        context.progress.update(done)
     context.progress.finish()
     background.decide()
     if background.remark:

@@ -4,7 +4,7 @@ Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whos
 """
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.run.devices import gpu_figures, gpu_of
+from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.fields.radiance_field import RadianceField
@@ -39,6 +40,7 @@ SPEC = Spec(
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
 Shot = tuple[Camera, int | None]
+WRITTEN_AT_ONCE = 2  # frames; each holds its planes in memory until it is on disk
 
 
 def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -83,14 +85,26 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         if device
         else functools.partial(render_view, field, threads=threads)
     )
+    field_name = inputs["field"].name
     with nullcontext() if device else compiling_note(context.progress.say):
-        for done, (frame, (camera, _)) in enumerate(zip(listed, shots, strict=True)):
-            files = _files_of(frame, config, field, cells)
-            if not journal.holds(files):
-                rendered = render_frame(renderer, frame, camera, cells, inputs["field"].name)
-                _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
+
+        def write(job: tuple[Frame, Camera, RenderedView | None]) -> list[str]:
+            frame, camera, rendered = job
+            if rendered is None:
+                return []
+            _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
+            return _files_of(frame, config, field, cells)
+
+        def rendered_frames() -> Iterator[tuple[Frame, Camera, RenderedView | None]]:
+            for frame, (camera, _) in zip(listed, shots, strict=True):
+                held = journal.holds(_files_of(frame, config, field, cells))
+                yield frame, camera, None if held else render_frame(renderer, frame, camera, cells, field_name)
+
+        # A frame is written while the next one is rendered: codecs use one core, and the disk none.
+        for done, files in enumerate(in_order(write, rendered_frames(), WRITTEN_AT_ONCE), start=1):
+            if files:
                 journal.add(files)
-            context.progress.update(done + 1)
+            context.progress.update(done)
     context.progress.finish()
     masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None

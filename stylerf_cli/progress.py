@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TextIO
 
+from schemas.native_output import native_output_audible
 from schemas.safe_names import printable
 
 SHOWN_AFTER_SECONDS = 2.0
@@ -109,7 +110,8 @@ class Bars:
 
     def _draw(self, line: str) -> None:
         try:
-            width = os.get_terminal_size(self._stream.fileno()).columns
+            with native_output_audible():
+                width = os.get_terminal_size(self._stream.fileno()).columns
         except (OSError, ValueError):
             width = 80
         self._put("\r\x1b[K" + printable(line)[: max(1, width - 1)])
@@ -128,8 +130,9 @@ class Bars:
         if self._unread:
             return
         try:
-            self._stream.write(text)
-            self._stream.flush()
+            with native_output_audible():  # threads may be decoding photos
+                self._stream.write(text)
+                self._stream.flush()
         except OSError:
             self._unread = True
 

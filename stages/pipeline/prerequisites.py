@@ -102,6 +102,8 @@ def fitted(runner: StageRunner, scene: Artifact, config: FitConfig, request: Req
     """Fit a field to a scene."""
     from stages import nerf_fit
 
+    if request is None:  # nobody renders the views of a fit that another verb needs
+        config = replace(config, buffers=False)
     return runner.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, config, FIT_NAME, request)
 
 

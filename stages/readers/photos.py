@@ -1,5 +1,6 @@
 """One photo of a source: checked, its mask joined, undistorted and shrunk."""
 
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from stylerf.geometry.resampling import nearest, shrunk
 
 # Brightest pixel of a photo that shows anything: a covered lens stays below in 8 bit, noise included.
 DARKEST_WHITE = 10 / 255
+BAND_ROWS = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,11 +110,12 @@ def scene_camera(one: Sized, factor: float, scene_from_source_pose: np.ndarray) 
 
 
 class Developer:
-    """Turns photos into the scene's pictures; the map of positions is kept for photos of one camera."""
+    """Turns photos into the scene's pictures, in any thread; the map of positions is kept for photos of one camera."""
 
     def __init__(self) -> None:
         self._key: tuple | None = None
         self._positions = np.empty(0)
+        self._undistorting = threading.Lock()  # kernels run on all cores; numba's own threads take one at a time
 
     def picture(self, one: Sized, size: tuple[int, int]) -> np.ndarray:
         """[height, width, 3 or 4] float32, straight alpha, of size (width, height); 4 channels where any pixel is not
@@ -130,7 +133,8 @@ class Developer:
             # Late: the kernel takes a second to load, which pinhole sources need not wait for.
             from stylerf.kernels.cpu.photos import remapped
 
-            pixels = remapped(pixels, self._map(one))
+            with self._undistorting:
+                pixels = remapped(pixels, self._map(one))
         pixels = shrunk(pixels, size)
         if cut:
             pixels[..., :3] /= np.maximum(pixels[..., 3:], 1e-6)
@@ -145,10 +149,11 @@ class Developer:
 
 
 def _brightest(pixels: np.ndarray) -> float:
-    """Largest value of a color times its alpha; row by row, as photos can be large."""
+    """Largest value of a color times its alpha; by bands of rows, as photos can be large."""
     if pixels.shape[2] == 3:
         return float(pixels.max())
-    return max(float((row[..., :3] * row[..., 3:]).max()) for row in pixels)
+    bands = (pixels[top : top + BAND_ROWS] for top in range(0, len(pixels), BAND_ROWS))
+    return max(float((band[..., :3] * band[..., 3:]).max()) for band in bands)
 
 
 def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from schemas.images import read_image
-from stages.readers.background import Background
+from stages.readers.background import Background, evidence_of
 from stages.sfm.photo_copies import KEPT, MASKS, Copy
 
 # A point is outside if it is further from the silhouette than this share of the longest side: 4 pixels of 400.
@@ -34,7 +34,7 @@ def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
         if copy.cut_out:
             kept = read_image(folder / MASKS / f"{copy.file}.png").pixels.reshape(height, width, -1)[..., 0]
         found[copy.file] = kept >= KEPT
-        background.seen(np.dstack([np.zeros((height, width, 3), np.float32), kept]))
+        background.seen(evidence_of(np.dstack([np.zeros((height, width, 3), np.float32), kept])))
     background.decide()
     return found if background.cuts_out and not background.one_mask() else {}
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from stylerf.editing.edit_grid import Region, march_view
 from stylerf.errors import InvalidValue
@@ -200,6 +199,8 @@ def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: fl
     touching = ends[:, 1] > TOUCHING * np.maximum(ends[:, 0], 1e-3)
     if not touching.any():
         return np.zeros(len(x), np.float32)
+    from scipy.spatial import cKDTree  # half a second, for which no other verb need wait
+
     unwarp = field.space.unwarp
     # In unbounded spaces the border of the cube is infinitely far.
     there, here = (unwarp(np.clip(p, 1e-6, 1 - 1e-6)) for p in (ends[touching, 3:], x))

@@ -4,11 +4,9 @@ The displacement grid's gradients come from those of densities and colors; only 
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from scipy.ndimage import binary_dilation, distance_transform_edt
-from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
@@ -20,6 +18,9 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compositing import visible_weights
 from stylerf.kernels.cpu.deformation import displaced_cells, displacement_backward, mark_cells
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
+
+if TYPE_CHECKING:  # torch takes more than a second to import, and a field is rendered without its network
+    from torch import Tensor
 
 # Adam moves every weight by about its rate, and a sum over 256 of them by up to 256 times that: without this factor a
 # rate of 1e-3 would move a scene by a twentieth of its size in every step.
@@ -55,14 +56,18 @@ class Deformation:
     def _layers(self) -> list[tuple[int, int]]:
         return _layers(self.frequencies, self.width)
 
-    def encode(self, positions: Tensor) -> Tensor:
+    def encode(self, positions: "Tensor") -> "Tensor":
         """Return gamma(p), [n, 3 + 6 frequencies], of cube positions [n, 3]."""
+        import torch
+
         p = 2 * positions - 1
         scaled = p[:, None] * (math.pi * 2.0 ** torch.arange(self.frequencies, dtype=p.dtype))[:, None]
         return torch.cat([p, torch.cat([scaled.sin(), scaled.cos()], -1).flatten(1)], 1)
 
-    def network(self, encoded: Tensor, values: Tensor) -> Tensor:
+    def network(self, encoded: "Tensor", values: "Tensor") -> "Tensor":
         """Return D [n, 3], cube units, of encoded positions [n, 3 + 6 frequencies], with the weights `values`."""
+        import torch
+
         out, at = encoded, 0
         layers = self._layers()
         for number, (inside, outside) in enumerate(layers):
@@ -160,6 +165,8 @@ def occupancy_of_seen(field: RadianceField, rays: Rays, threads: int) -> Occupan
 
     Kept are cells that hold a fiftieth of some ray's largest weight, and their neighbors.
     """
+    from scipy.ndimage import binary_dilation
+
     rest = field.occupancy
     seen = binary_dilation(seen_cells(field, rays, rest.cells, 0.02, threads), np.ones((3, 3, 3)))
     found = OccupancyGrid(rest.cells, rest.highest)
@@ -169,6 +176,8 @@ def occupancy_of_seen(field: RadianceField, rays: Rays, threads: int) -> Occupan
 
 def nearest_of(chosen: np.ndarray, vertices: int) -> np.ndarray:
     """Return, for each vertex of a [vertices]^3 grid, the position in `chosen` (flat indices) of the nearest one."""
+    from scipy.ndimage import distance_transform_edt
+
     away = np.ones(vertices**3, np.bool_)
     away[chosen] = False
     number = np.zeros(vertices**3, np.int64)

@@ -13,11 +13,9 @@ Its heads (section 4). With phi the features of a place and Y the harmonics of a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
-from torch.nn.functional import linear, softplus
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
@@ -28,6 +26,9 @@ from stylerf.fields.palette_edits import Recoloring, recolored
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import ROW
+
+if TYPE_CHECKING:  # torch takes more than a second to import, and fields without a palette are rendered without it
+    from torch import Tensor
 
 POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
@@ -41,13 +42,13 @@ EVEN = math.log(math.e - 1)  # its softplus is 1
 class Parts:
     """diffuse, specular [n, 3]; weights [n, M], each row adds up to 1; offsets [n, M, 3]; intensity [n, 1] > 0."""
 
-    diffuse: Tensor
-    specular: Tensor
-    weights: Tensor
-    offsets: Tensor
-    intensity: Tensor
+    diffuse: "Tensor"
+    specular: "Tensor"
+    weights: "Tensor"
+    offsets: "Tensor"
+    intensity: "Tensor"
 
-    def mixed(self, palette: Tensor) -> Tensor:
+    def mixed(self, palette: "Tensor") -> "Tensor":
         """Return [n, 3]: sum_i w_i I (P_i + delta_i), without the specular part."""
         return self.intensity * (self.weights @ palette + (self.weights[..., None] * self.offsets).sum(1))
 
@@ -80,16 +81,19 @@ class PaletteHead:
         parts[-1][-1] = EVEN  # the bias of the intensity, the last output
         return np.concatenate(parts).astype(np.float32)
 
-    def parts(self, numbers: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> Parts:
+    def parts(self, numbers: "Tensor", phi: "Tensor", basis: "Tensor", apart: bool = False) -> Parts:
         """Return the parts at points with features phi [n, features], seen from directions with harmonics [n, 9].
 
         apart: no gradient flows from the palette branch to the diffuse color that it reads.
         """
+        import torch
+        from torch.nn.functional import linear, softplus
+
         sizes = [size for inside, outside in self.layers for size in (inside * outside, outside)]
         # clone: the alignment of a slice can change the last bit of a matrix product.
         flat = iter([part.clone() for part in numbers.split(sizes)])
 
-        def layer(number: int, values: Tensor) -> Tensor:
+        def layer(number: int, values: "Tensor") -> "Tensor":
             inside, outside = self.layers[number]
             return linear(values, next(flat).view(outside, inside), next(flat))
 
@@ -171,12 +175,12 @@ class PaletteColor:
         begin, end = self.features.length, self.features.length + 3 * self.bases
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 
-    def parts(self, rest: Tensor, phi: Tensor, basis: Tensor, apart: bool = False) -> tuple[Parts, Tensor]:
+    def parts(self, rest: "Tensor", phi: "Tensor", basis: "Tensor", apart: bool = False) -> "tuple[Parts, Tensor]":
         """(Parts, palette [bases, 3]) from palette and head as one tensor; see PaletteHead.parts."""
         palette, numbers = rest[: 3 * self.bases], rest[3 * self.bases :]
         return self.head.parts(numbers, phi, basis, apart), palette.clone().view(-1, 3)
 
-    def _shown(self, rest: Tensor, phi: Tensor, basis: Tensor, x: np.ndarray) -> Tensor:
+    def _shown(self, rest: "Tensor", phi: "Tensor", basis: "Tensor", x: np.ndarray) -> "Tensor":
         """[n, 3] in 0..1."""
         parts, palette = self.parts(rest, phi, basis)
         if not self.edits:
@@ -184,16 +188,19 @@ class PaletteColor:
         mixture = parts.weights, parts.offsets, parts.intensity, parts.specular
         return recolored(*mixture, palette, self.edits, x).clamp(0, 1)
 
-    @torch.no_grad()
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
+        import torch
+
         out, rest, x = uncolored(points, threads, arena), torch.from_numpy(self.rest), points.x
         packed = Packed.weighted(points, threads)
         for at in range(0, len(packed.index), POINTS_AT_ONCE):
             index, rays = packed.index[at : at + POINTS_AT_ONCE], packed.ray[at : at + POINTS_AT_ONCE]
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads))
-            out[index] = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index]).numpy()
+            with torch.no_grad():
+                shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
+            out[index] = shown.numpy()
         return out
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
@@ -208,6 +215,8 @@ class PaletteColor:
 
     def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, threads: int):
         """Return (packed points, dL/d(features) of theirs, dL/d(palette and head))."""
+        import torch
+
         packed, x = Packed.colored(points, colors, threads), points.x
         gradients = np.empty((len(packed.index), self.features.width), np.float32)
         own = np.zeros(len(self.rest), np.float32)

@@ -8,15 +8,17 @@ turns and scales P_i: shading and texture stay.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.srgb import LUMA
+
+if TYPE_CHECKING:  # torch takes more than a second to import, and fields without a palette are rendered without it
+    from torch import Tensor
 
 GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
 DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
@@ -154,8 +156,10 @@ class Recoloring:
     view_scale: float = 1.0
     within: SpaceFilter | None = None
 
-    def share(self, x: np.ndarray) -> Tensor:
+    def share(self, x: np.ndarray) -> "Tensor":
         """[n, 1] float32: how far it applies to cube points [n, 3]."""
+        import torch
+
         found = np.ones(len(x), np.float32) if self.within is None else self.within(x)
         return torch.from_numpy(found)[:, None]
 
@@ -177,15 +181,17 @@ class Recoloring:
 
 
 def recolored(
-    weights: Tensor,  # [n, M], rows add up to 1
-    offsets: Tensor,  # [n, M, 3]
-    intensity: Tensor,  # [n, 1]
-    specular: Tensor,  # [n, 3]
-    palette: Tensor,  # [M, 3]
+    weights: "Tensor",  # [n, M], rows add up to 1
+    offsets: "Tensor",  # [n, M, 3]
+    intensity: "Tensor",  # [n, 1]
+    specular: "Tensor",  # [n, 3]
+    palette: "Tensor",  # [M, 3]
     edits: Sequence[Recoloring],
     x: np.ndarray,  # [n, 3] in the cube
-) -> Tensor:
+) -> "Tensor":
     """[n, 3], not clamped: sum_i w_i I (P_i + delta_i) + s after the edits, each upon those before it."""
+    import torch
+
     shares = [edit.share(x).to(weights) for edit in edits]
     for edit, share in zip(edits, shares):
         offsets = offsets * (1 + share * (edit.offset_scale - 1))[..., None]
@@ -203,8 +209,10 @@ def recolored(
     return sum(weights[:, i : i + 1] * basis for i, basis in enumerate(bases)) + specular
 
 
-def _weights(changes: PaletteEdits, weights: Tensor) -> Tensor:
+def _weights(changes: PaletteEdits, weights: "Tensor") -> "Tensor":
     """PaletteEdits.weights on tensors, which gradients pass."""
+    import torch
+
     if not changes.scales and not changes.biases:
         return weights
     scales, biases = torch.ones(weights.shape[1]).to(weights), torch.zeros(weights.shape[1]).to(weights)
@@ -216,12 +224,14 @@ def _weights(changes: PaletteEdits, weights: Tensor) -> Tensor:
     return torch.where(total > 1e-6, changed / total.clamp_min(1e-6), weights)
 
 
-def shifted(colors: Tensor, old: Tensor, new: Tensor) -> Tensor:
+def shifted(colors: "Tensor", old: "Tensor", new: "Tensor") -> "Tensor":
     """Colors [n, 3] as a palette color `old` [n, 3] or [3] becomes `new` [3]: hue turned by the difference of the two
     hues, saturation and value scaled by their ratios.
 
     A color between black and white has neither hue nor saturation: where `old` is nearly one, both are the new one's.
     """
+    import torch
+
     (hue, saturation, value), (hue_old, saturation_old, value_old), (hue_new, saturation_new, value_new) = (
         to_hsv(one) for one in (colors, old, new)
     )
@@ -235,8 +245,10 @@ def shifted(colors: Tensor, old: Tensor, new: Tensor) -> Tensor:
     )
 
 
-def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def to_hsv(colors: "Tensor") -> "tuple[Tensor, Tensor, Tensor]":
     """Hue in 0..1, saturation in 0..1, value >= 0, each [...], of colors [..., 3]; what is negative counts as 0."""
+    import torch
+
     red, green, blue = colors.clamp_min(0).unbind(-1)
     value = torch.maximum(torch.maximum(red, green), blue)
     chroma = value - torch.minimum(torch.minimum(red, green), blue)
@@ -249,8 +261,10 @@ def to_hsv(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return torch.where(chroma > 1e-8, sixths / 6, torch.zeros_like(sixths)), chroma / value.clamp_min(1e-8), value
 
 
-def from_hsv(hue: Tensor, saturation: Tensor, value: Tensor) -> Tensor:
+def from_hsv(hue: "Tensor", saturation: "Tensor", value: "Tensor") -> "Tensor":
     """Invert to_hsv, [..., 3]."""
+    import torch
+
     channels = []
     # A channel is full within a sixth of the circle of its own hue, and falls to v (1 - s) over the next sixth.
     for begin in (5.0, 3.0, 1.0):

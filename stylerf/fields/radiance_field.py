@@ -1,10 +1,9 @@
 """A radiance field: a density part and a color part in a warped space, and the occupancy grid that guides rays."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
@@ -19,6 +18,9 @@ from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays, Samples
+
+if TYPE_CHECKING:  # torch takes more than a second to import, and most fields are rendered without it
+    from torch import Tensor
 
 DENSITY_KINDS: dict[str, type[DensityPart]] = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOR_KINDS: dict[str, type[RestorableColor]] = {
@@ -35,14 +37,14 @@ MOST_REGIONS = 100  # nested over one another
 class ColorMap:
     """x' = matrix x + offset on sRGB colors of rendered pixels; matrix [3, 3], offset [3]."""
 
-    matrix: Tensor
-    offset: Tensor
+    matrix: "Tensor"
+    offset: "Tensor"
 
-    def __call__(self, colors: Tensor) -> Tensor:
+    def __call__(self, colors: "Tensor") -> "Tensor":
         """Colors [..., 3] mapped, not clamped."""
         return colors @ self.matrix.T.to(colors) + self.offset.to(colors)
 
-    def image(self, image: Tensor) -> Tensor:
+    def image(self, image: "Tensor") -> "Tensor":
         """The same on an image [3, h, w], clamped to [0, 1]."""
         return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
 
@@ -50,7 +52,7 @@ class ColorMap:
         """The single map that does `first`, then this one."""
         return ColorMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
 
-    def premultiplied(self, colors: Tensor, alpha: Tensor) -> Tensor:
+    def premultiplied(self, colors: "Tensor", alpha: "Tensor") -> "Tensor":
         """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
         return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
 
@@ -199,6 +201,8 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
 def _color_map(data: dict | None) -> ColorMap | None:
     if data is None:
         return None
+    import torch
+
     return ColorMap(
         torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3))
     )

@@ -6,7 +6,6 @@ Only occupied space counts; elsewhere the factors still hold the initial noise (
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import qr
 
 from stylerf.fields.occupancy_grid import OccupancyGrid
 
@@ -75,6 +74,8 @@ def best_seen_ranks(
     Returns:
         The three with `rank` columns, of about the same magnitudes as before.
     """
+    from scipy.linalg import qr
+
     ones = np.ones(len(head))
     bases, cores = zip(*(_orthogonal(f, w) for f, w in zip((plane, line, head), (*weights, ones))))
     terms = np.einsum("ar,br,cr->abcr", *cores, optimize=True)

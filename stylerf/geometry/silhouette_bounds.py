@@ -70,10 +70,11 @@ def _kept(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray,
         front = depth > 2 * radius
         # Project the cell's bounding sphere; its nearer parts look larger than its center.
         slope = (pixels * factor - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        oblique = np.sqrt(1 + (slope * slope).sum(-1))
+        oblique = np.sqrt(1 + slope[:, 0] ** 2 + slope[:, 1] ** 2)
         reach = max(camera.fx, camera.fy) / factor * radius * oblique / np.where(front, depth - radius, 1.0)
-        limit = np.array([camera.width, camera.height]) / factor
-        inside = front & (pixels >= reach[:, None]).all(1) & (pixels <= limit - reach[:, None]).all(1)
+        inside = front.copy()
+        for axis, side in enumerate((camera.width, camera.height)):  # numpy is slow along an axis of two
+            inside &= (pixels[:, axis] >= reach) & (pixels[:, axis] <= side / factor - reach)
         # A silhouette that does not touch the border is complete, so everything outside the image is empty too.
         whole = not (mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
         judged = front if whole else inside
@@ -97,7 +98,8 @@ def _summed(mask: np.ndarray) -> np.ndarray:
 def _any_within(table: np.ndarray, pixels: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return whether any pixel is set within +- reach [n] of positions [n, 2], given the summed-area table."""
     height, width = table.shape[0] - 1, table.shape[1] - 1
-    low = np.floor(pixels - reach[:, None]).clip(0, [width, height]).astype(int)
-    high = np.ceil(pixels + reach[:, None]).clip(0, [width, height]).astype(int)
-    (left, top), (right, bottom) = low.T, high.T
+    (left, right), (top, bottom) = (
+        (np.floor(at - reach).clip(0, side).astype(int), np.ceil(at + reach).clip(0, side).astype(int))
+        for at, side in ((pixels[:, 0], width), (pixels[:, 1], height))
+    )
     return np.asarray(table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left] > 0)

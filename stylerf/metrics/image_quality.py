@@ -6,7 +6,6 @@ differentiable.
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
-from skimage.metrics import structural_similarity
 
 from stylerf.errors import InvalidValue
 from stylerf.srgb import LUMA
@@ -40,6 +39,8 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     _check_pair(a, b)
     if min(a.shape[:2]) < SSIM_WINDOW:
         raise InvalidValue(f"SSIM needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, not {a.shape[:2]}")
+    from skimage.metrics import structural_similarity  # late: fits import this module and measure no SSIM
+
     _, full = structural_similarity(
         np.asarray(a, np.float64),
         np.asarray(b, np.float64),

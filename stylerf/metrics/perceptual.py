@@ -31,7 +31,9 @@ class _Network(nn.Module):
         super().__init__()
         for layer in layers:
             for kind in ("weight", "bias"):
-                self.register_buffer(f"{layer.replace('.', '_')}_{kind}", state[f"{layer}.{kind}"].float())
+                values = state[f"{layer}.{kind}"].float()
+                values = values.contiguous(memory_format=torch.channels_last) if values.dim() == 4 else values
+                self.register_buffer(f"{layer.replace('.', '_')}_{kind}", values)
         self.register_buffer("input_scale", state["input.scale"].float().reshape(1, 3, 1, 1))
         self.register_buffer("input_shift", state["input.shift"].float().reshape(1, 3, 1, 1))
 
@@ -145,6 +147,8 @@ class PerceptualDistance(nn.Module):
             raise InvalidValue(
                 f"expected two equal batches [n, 3, h, w], found {tuple(first.shape)}, {tuple(second.shape)}"
             )
+        # On a CPU, convolutions and pooling take a third less time with the channels last.
+        first, second = (one.contiguous(memory_format=torch.channels_last) for one in (first, second))
         found = []
         for i, (f, g) in enumerate(zip(self.network(first), self.network(second), strict=True)):
             head = getattr(self, f"head{i}").view(1, -1, 1, 1)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from stylerf.fields.deformation import displacement_gradient, position_gradients
 from stylerf.fields.marching import SAMPLES_PER_RAY, ScratchArena, empty_array
@@ -72,6 +71,8 @@ def render_rays(
     composite(samples, colors, threads, unmapped)
     out = unmapped
     if field.color_map is not None:
+        import torch  # takes more than a second, which fields without a color map need not wait for
+
         # Premultiplied colors lie in 0..alpha.
         mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
         out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.marching import ScratchArena
@@ -109,6 +108,8 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
 
     The scale ends at the 99th percentile of visible surfaces.
     """
+    from scipy.ndimage import map_coordinates
+
     from stylerf.environment.matplotlib_defaults import colormaps
 
     if (grid := field.displacement) is None:

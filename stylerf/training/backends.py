@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-import torch
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
+    import torch
 
     from stylerf.editing.palette_module import PaletteEvaluator, PaletteModule
     from stylerf.fields.radiance_field import RadianceField
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     from stylerf.training.fit.fitter import Engine
     from stylerf.training.stylize.scene import StyleBackend
 
-Device = str | torch.device | None
+Device: TypeAlias = "str | torch.device | None"
 
 
 def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable[..., Engine]:
@@ -84,6 +83,8 @@ def deform_backend(device: Device) -> DeformBackend:
         from stylerf.training.deform.deformer import Deformer, PhotoError
 
         return Deformer, PhotoError
+    import torch
+
     from stylerf.training.deform.deformer_gpu import GpuDeformer, GpuPhotoError
 
     return functools.partial(GpuDeformer, device=torch.device(device)), GpuPhotoError
@@ -95,6 +96,8 @@ def style_backend(device: Device) -> StyleBackend:
 
     if device is None:
         return CPU
+    import torch
+
     from stylerf.training.deform.deformer_gpu import GpuDeformer
     from stylerf.training.stylize.geometry_gpu import GpuFixedGeometry, GpuMovingGeometry
 

@@ -6,7 +6,7 @@ from threading import Event, Thread
 import pytest
 
 from schemas import native_output
-from schemas.native_output import native_output_restored, native_output_silenced
+from schemas.native_output import native_output_audible, native_output_restored, native_output_silenced
 
 
 def test_native_output_is_silenced_inside_the_block_only(capfd):
@@ -56,3 +56,24 @@ def test_a_thread_that_is_still_at_it_does_not_silence_the_last_words(capfd):
     thread.join()
     os.write(2, b", and later")
     assert capfd.readouterr().err == "heard, and later"
+
+
+def test_what_the_command_prints_is_heard_while_a_thread_is_silenced(capfd):
+    inside, ended = Event(), Event()
+
+    def work() -> None:
+        with native_output_silenced():
+            inside.set()
+            ended.wait(20)
+
+    thread = Thread(target=work)
+    thread.start()
+    assert inside.wait(20)
+    with native_output_audible():
+        os.write(2, b"progress")
+    os.write(2, b"a codec")
+    ended.set()
+    thread.join()
+    with native_output_audible():  # nobody is silenced
+        os.write(2, b", done")
+    assert capfd.readouterr().err == "progress, done"

@@ -190,3 +190,19 @@ def test_a_bound_below_what_a_fit_takes_is_reported():
     small = settings(even, capacity="fixed:64x8x8")
     _report_memory(small, even, Context(progress=said, memory=10**9))
     assert len(said.lines) == 1
+
+
+def test_a_time_budget_says_what_comes_on_top_of_it():
+    cameras = [SimpleNamespace(width=20, height=10)] * 6
+    fitter = SimpleNamespace(
+        settings=SimpleNamespace(seconds=60.0), check_seconds=0.2, held_out_rays=400, checks=2,
+        state=SimpleNamespace(seconds=5.0),
+        dataset=SimpleNamespace(cameras=cameras),
+    )  # fmt: skip
+    assert "60 s of training; on top" in nerf_fit._beside_training(FitConfig(), fitter)
+    assert "PNG" not in nerf_fit._beside_training(FitConfig(buffers=False), fitter)
+    # 25 checks of 0.2 s; 1200 pixels where 400 take 0.2 s; of 8.4 s, 5 s are training and 0.4 s checks.
+    assert nerf_fit._in_all(FitConfig(), fitter, 8.4) == (
+        "about 69 s or more in all: 60 s of training, 3 s of loading, 5 s of checks, 1 s of rendering 6 views"
+    )
+    assert nerf_fit._in_all(FitConfig(buffers=False), fitter, 5.4).startswith("about 65 s or more in all")

@@ -73,6 +73,18 @@ def test_every_verb_keeps_the_contract_and_helps_without_torch(verb):
         assert flag in done.stdout
 
 
+@pytest.mark.parametrize("stage", ["pose_import", "nerf_fit", "render", "region_select", "finetune"])
+def test_stages_that_can_run_without_torch_start_without_it(stage):
+    """It takes more than a second to import."""
+    code = (
+        f"import sys, stages.{stage}\n"
+        "heavy = {'torch', 'scipy.spatial', 'matplotlib'} & set(sys.modules) - ALLOWED\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    ).replace("ALLOWED", "{'scipy.spatial'}" if stage == "region_select" else "set()")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=REPOSITORY)
+    assert done.returncode == 0, done.stderr
+
+
 def test_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("stylerf 0.")

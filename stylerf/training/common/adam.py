@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from torch import Tensor
 
 from stylerf.kernels.cpu.adam import AdamRates, AdamState, adam
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 # As instant-ngp: means over thousands of rays leave a table row with tiny gradients, which a larger epsilon would damp.
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
@@ -65,10 +67,10 @@ class Optimizer(Protocol):
     """An Adam, or a GpuAdam."""
 
     @property
-    def values(self) -> np.ndarray | Tensor: ...
+    def values(self) -> "np.ndarray | Tensor": ...
 
     @property
-    def gradients(self) -> np.ndarray | Tensor: ...
+    def gradients(self) -> "np.ndarray | Tensor": ...
 
     def step(self, rate: float) -> None: ...
 

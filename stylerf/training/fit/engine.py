@@ -6,6 +6,7 @@ the steps, renders, and updates the occupancy grid.
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from stylerf.rendering.rays import backward, render_rays, with_surface_distance
 from stylerf.training.common.adam import Adam, moments_of, restore_moments
 from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset, background_of, over, target, unhidden
-from stylerf.training.fit.seen_cells import SeenCells
 from stylerf.training.fit.settings import FitSettings
+
+if TYPE_CHECKING:
+    from stylerf.training.fit.seen_cells import SeenCells
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,8 @@ class CpuEngine:
         background = background_of(batch.background, count, generator)[own]
         totals = np.zeros(2)  # squared error, samples
         if batch.least_weight > 0 and self._seen is None:
+            from stylerf.training.fit.seen_cells import SeenCells  # imports torch: a second that objects need not wait
+
             self._seen = SeenCells(self.field.occupancy.cells)
         for some in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[some], directions[some], near, jitter[some])
@@ -227,7 +232,12 @@ class CpuEngine:
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
         """From moments(), for the field adopted last."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
-        self._seen = SeenCells.restore(arrays, self.field.occupancy.cells)
+        if "seen.ages" in arrays:
+            from stylerf.training.fit.seen_cells import SeenCells
+
+            self._seen = SeenCells.restore(arrays, self.field.occupancy.cells)
+        else:
+            self._seen = None
         self._clear_unseen()
 
     def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 Engine: TypeAlias = "CpuEngine | GpuEngine"
 MOST_ROLLBACKS = 4
+CHECK_EVERY = 0.04  # of the budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,7 @@ class Fitter:
         self.state = FitState()
         self.search = CapacitySearch(settings, self.state, self._judges)
         self._warm: set[tuple[int, int, int]] = set()
+        self.checks, self.check_seconds = 0, 0.0  # of this process, and how long the last one took beside the budget
         level, generator = settings.levels[0], np.random.default_rng([seed, 1])
         self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
@@ -217,7 +219,7 @@ class Fitter:
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
-    def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = 0.04) -> None:
+    def run(self, on_step: Callable[["Fitter"], None] = lambda fitter: None, check_every: float = CHECK_EVERY) -> None:
         """Train until the budget is spent, calling `on_step` after every step.
 
         check_every: fraction of the budget between evaluations on the held-out views.
@@ -278,7 +280,9 @@ class Fitter:
         self.engine.settle()
         state.seconds += self.group.of_first(time.perf_counter() - begun)
         self.engine.agree()
+        begun = time.perf_counter()
         quality = self.held_out_psnr()
+        self.checks, self.check_seconds = self.checks + 1, time.perf_counter() - begun
         recovering = state.trial is not None and not state.trial.grows
         # A fall this deep is not noise: the fit is collapsing, and more training would make it worse.
         fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0 and not recovering  # NaN counts as a fall

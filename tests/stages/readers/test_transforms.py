@@ -13,7 +13,7 @@ from schemas.errors import BadInput
 from schemas.images import to_uint8, write_png
 from stages.artifacts.scene import load_scene
 from stages.readers import read_source
-from stages.readers.background import Background
+from stages.readers.background import Background, evidence_of
 from tests.conftest import REPOSITORY
 from tests.stages.importing import Said, imported, scene_of
 from tests.stylerf_cli import capture
@@ -681,7 +681,7 @@ def _(source, tmp_path):
         backdrop = Background("auto")
         for mask in masks:
             colors = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
-            backdrop.seen(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors)
+            backdrop.seen(evidence_of(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors))
         backdrop.decide()
         assert (backdrop.kind, backdrop.cuts_out) == ("alpha", "transparency" if cut else "")
         assert bool(backdrop.remark) != cut
