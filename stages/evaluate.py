@@ -71,7 +71,9 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
 
 
 SPEC = Spec(stage="evaluate", verb="eval", revision=7, writes="report", outside=digests_of_files)
-STYLE_KEYS = ("nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "content_ssim")
+STYLE_KEYS = (
+    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "content_ssim"
+)  # fmt: skip
 
 
 def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -222,7 +224,7 @@ class Evaluation:
             "perceptual_net": perceptual.pixel_name,
             "style_protocol": style.protocol if style else "no style image",
             "style_label": perceptual.style_label,
-            "style_network": style.network_name if style else "no style image",
+            "style_network": f"{style.judge_name}, {style.judge_layer}" if style else "no style image",
             "gap": self.config.gap,
             "nearest": NEAREST,
             "plain": self.base.frames.field if self.base else "none",

@@ -190,7 +190,7 @@ def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneD
         return {"rounds": config.rounds, "pictures": method.scene.state.counts.get("pictures", 0)}
     if not isinstance(method, RefNpr) or not isinstance(config, RefNprConfig):
         return {}
-    by, references = "file" if config.reference else config.reference_by or "nnfm", []
+    by, references = "file" if config.reference else config.reference_by or "features", []
     for place, image in method.references.items():
         if image is None:
             continue

@@ -33,11 +33,13 @@ class StylizeConfig:
     )
     features_digest: str = ""  # sha256 of that file
     style_weight: float = option(1.0, help="weight of the style distance")
-    content_weight: float = option(-1.0, help="weight of the content distance (-1: 0.02; refnpr: 0.1)")
+    content_weight: float = option(
+        -1.0, help="weight of the content distance (-1: 0.005; nearest, gram: 0.02; refnpr: 0.1)"
+    )
     color_weight: float = option(
         -1.0,
-        help="weight of the squared color difference from the photos (-1: 10; 1 where desrf deforms an object; "
-        "refnpr: 5)",
+        help="weight of the squared color difference from the photos (-1: 1; nearest, gram: 10, or 1 where desrf "
+        "deforms an object; refnpr: 5)",
     )
     match_by: str = option(
         "transport",
@@ -55,19 +57,23 @@ class StylizeConfig:
     layers: str = advanced(
         "",
         LOSS,
-        help="feature layers to match: conv2, conv3_1 ... (default: conv3; Gram: conv2 to conv4; refnpr: conv3,conv4)",
+        help="feature layers to match: conv2, conv3_1 ... (default: conv2_1,conv3_1; nearest: conv3; Gram: conv2 to "
+        "conv4; refnpr: conv3,conv4)",
     )
     variation_weight: float = advanced(
         -1.0, LOSS, help="weight of the image's total variation (-1: 0.1 for desrf, else 1)"
     )
     feature_scale: float = advanced(
-        0.0, LOSS, help="image size for features, relative to the view (0: half, at least 256 pixels if it has them)"
+        0.0,
+        LOSS,
+        help="image size for features, relative to the view (0: half, at least 512 pixels if it has them; nearest, "
+        "gram: 256)",
     )
     coarse: float = advanced(
         -1.0,
         LOSS,
-        help="first fraction of the style steps, at half the feature scale (-1: 0.6 where desrf deforms an object, "
-        "else 0)",
+        help="first fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
+        "desrf deforms an object; refnpr: 0)",
     )
     style_rows: int = advanced(4096, LOSS, help="most style features to match with")
     style_basis: int = advanced(96, LOSS, help="principal directions used to find nearest neighbors (0: all, exact)")
@@ -87,7 +93,7 @@ class StylizeConfig:
         help=f"cells per side of its finest level (0: a little finer than a pixel, {COLOR_CELLS[0]} to "
         f"{COLOR_CELLS[1]})",
     )
-    table_bits: int = advanced(17, GRID, help="log2 of its table entries per level")
+    table_bits: int = advanced(19, GRID, help="log2 of its table entries per level")
     rollbacks: int = advanced(0, LIMITS, help="rollbacks, at half the rate, after a loss that is not finite")
     gradient_clip: float = advanced(
         0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
@@ -116,6 +122,10 @@ class StylizeConfig:
             raise ValueError("refit_steps and style_basis must not be negative, rate > 0, style_rows at least 1")
         if self.rollbacks < 0 or self.gradient_clip < 0 or not 0 <= self.min_spread <= 0.25:
             raise ValueError("rollbacks and gradient_clip must not be negative, min_spread in 0..0.25")
+        if self.diversity < 0:
+            raise ValueError("diversity must not be negative")
+        if self.match_by == "nearest" and self.diversity != StylizeConfig.diversity:
+            raise ValueError("--diversity has no effect with --match-by nearest; leave it out")
         if self.max_gain < 0:
             raise ValueError("max_gain must not be negative (0: no limit)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
@@ -178,7 +188,9 @@ class SnerfConfig(StylizeConfig):
 
     method: str = option("snerf", choices=METHODS, help="snerf: alternate images and field")
     rounds: int = option(3, help="rounds of images, then field, that share the budget")
-    image_by: str = option("gram", choices=("gram", "nnfm"), help="style distance of the images")
+    image_by: str = option(
+        "gram", choices=("gram", "features"), help="style distance of the images: Gram matrices, or as --match-by says"
+    )
     image_share: float = option(
         0.75, help="fraction of a round spent on images (of a number of steps at most half, each view once)"
     )
@@ -204,9 +216,10 @@ class RefNprConfig(ArfConfig):
     references_digest: str = ""  # sha256 of the references
     reference_by: str = option(
         "",
-        choices=("", "gram", "nnfm", "adain"),
-        metavar="gram|nnfm|adain",
-        help="how to make a reference if none is given: optimize its pixels, or decode it (default: nnfm)",
+        choices=("", "gram", "features", "adain"),
+        metavar="gram|features|adain",
+        help="how to make a reference if none is given: optimize its pixels by Gram matrices or as --match-by says, or "
+        "decode it (default: features)",
     )
     reference_view: str = option(
         "", help="view to make a reference of (default: the one that sees most of what the others see)"

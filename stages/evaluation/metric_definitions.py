@@ -130,9 +130,9 @@ STYLE = (
     ),
     MetricDefinition(
         "sifid", "SIFID-style distance, {style_network}", "", "lower", 3,
-        "Squared Frechet distance between the conv2_2 features of {style_network} at the positions of the render and "
-        "of {style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. SIFID proper "
-        "uses Inception, so its values differ.",
+        "Squared Frechet distance between the features of {style_network} at the positions of the render and of "
+        "{style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. No method matches "
+        "these features unless told to. SIFID proper uses Inception, so its values differ.",
     ),
     MetricDefinition(
         "palette", "Color distance to {style_label}", "", "lower", 4,
@@ -146,6 +146,12 @@ STYLE = (
     MetricDefinition(
         "palette_covariance", "Color distance, covariances", "", "lower", 4,
         "Frobenius norm of the difference between the covariances of sRGB colors, same pixels.",
+    ),
+    MetricDefinition(
+        "colorfulness", "Colorfulness, ratio to {style_label}", "", "", 3,
+        "Ratio of the render's colorfulness to that of {style_label}, same pixels: the spread of R - G and (R + G) / 2 "
+        "- B, plus 0.3 times their mean, each as a length (Hasler and Suesstrunk 2003). 1 is as colorful; a gray wash "
+        "is near 0.",
     ),
     MetricDefinition(
         "content_ssim", "Content SSIM", "", "higher", 4,

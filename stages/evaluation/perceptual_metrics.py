@@ -24,8 +24,10 @@ from stylerf.style.feature_extractor import FeatureExtractor, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
 
-# conv3_1 to conv3_3 concatenated, as in ARF; conv2_2, just before the second pooling, where SIFID takes its features.
-LAYERS = ("conv2_2", "conv3")
+LAYERS = "conv3"  # conv3_1 to conv3_3 concatenated, as in ARF
+# SIFID takes its features just before the second pooling; of a network that no objective used, so that it judges.
+JUDGES, JUDGE_LAYER = ("st-vgg16", "hed-vgg16"), "conv2_2"
+LAYER_OF_ONLY_NETWORK = "conv1_2"  # no method matches it by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +91,7 @@ def _load(found: resolve.ResolvedExtractor | None, device: str) -> PerceptualNet
 
 @dataclass(frozen=True, eq=False)
 class StyleFeatures:
-    """Features of the style image at one size: rows to match against, Gram matrix, moments of conv2_2."""
+    """Features of the style image at one size: rows to match against, Gram matrix, moments of the judge's features."""
 
     rows: StyleRows
     gram: Tensor
@@ -109,6 +111,10 @@ class StyleImage:
         self.image, self.side, self.device = image, side, device
         self.network_name, self.network_source = found.name, found.source
         self.extractor = FeatureExtractor(found.state, LAYERS, found.kind).to(device)
+        judge = _judge_beside(found)
+        self.judge_layer = JUDGE_LAYER if judge.digest != found.digest else LAYER_OF_ONLY_NETWORK
+        self.judge_name = judge.name
+        self._judge = FeatureExtractor(judge.state, self.judge_layer, judge.kind).to(device)
         self._features_by_side: dict[int, StyleFeatures] = {}
 
     @property
@@ -123,8 +129,8 @@ class StyleImage:
     def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
         """Distances of an image [h, w, 3] with alpha [h, w]: NNFM, relative Gram, SIFID-style.
 
-        NNFM: mean of 1 - cosine to the nearest style feature. SIFID-style: squared Frechet distance between conv2_2
-        features. All NaN if the image is transparent.
+        NNFM: mean of 1 - cosine to the nearest style feature. SIFID-style: squared Frechet distance between features of
+        the judge. All NaN if the image is transparent.
         """
         side = min(self.side, max(image.shape[:2]))
         style = self._at(side)
@@ -153,9 +159,18 @@ class StyleImage:
         return self._features_by_side[side]
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Features [c, h, w] of conv2_2, and of the layers of conv3 concatenated."""
-        found = by_block(self.extractor.layers, self.extractor(image[None]))
-        return found["conv2"], found["conv3"]
+        """Features [c, h, w] of the judge, and of the layers of conv3 concatenated."""
+        return self._judge(image[None])[0][0], by_block(self.extractor.layers, self.extractor(image[None]))["conv3"]
+
+
+def _judge_beside(used: resolve.ResolvedExtractor) -> resolve.ResolvedExtractor:
+    """A feature extractor other than the one used; that one if there is no other."""
+    for name in JUDGES:
+        with suppress(UsageError):
+            found = resolve.resolve(name)
+            if found.digest != used.digest:
+                return found
+    return used
 
 
 def _moments(features: Tensor, where: Tensor) -> Moments:

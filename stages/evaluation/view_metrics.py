@@ -12,7 +12,7 @@ from stylerf.errors import InvalidValue
 from stylerf.metrics import image_quality
 from stylerf.metrics.consistency import seen_through
 from stylerf.metrics.depth import depth_errors, shape_change
-from stylerf.metrics.frechet import palette_distance
+from stylerf.metrics.frechet import colorfulness, palette_distance
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
 Score = Callable[[np.ndarray, np.ndarray], float]
@@ -92,12 +92,13 @@ def _depth_values(render: Render, truth: np.ndarray) -> tuple:
 
 
 def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style_image: np.ndarray) -> None:
-    """Distance of an image's colors, where alpha > 0.5, to those of the style image [h, w, 3]."""
-    keys = ("palette", "palette_mean", "palette_covariance")
+    """Compare an image's colors, where alpha > 0.5, with those of the style image [h, w, 3]."""
+    keys = ("palette", "palette_mean", "palette_covariance", "colorfulness")
 
     def distances() -> tuple:
-        found = palette_distance(image[alpha > 0.5], style_image.reshape(-1, 3))
-        return found.frechet, found.mean, found.covariance
+        own, wanted = image[alpha > 0.5], style_image.reshape(-1, 3)
+        found, most = palette_distance(own, wanted), colorfulness(wanted)
+        return found.frechet, found.mean, found.covariance, colorfulness(own) / most if most > 0 else None
 
     row.measure(keys, distances)
 

@@ -30,14 +30,21 @@ from stylerf.training.stylize.trainer import StylizationTrainer
 
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells per pixel width
+FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
+# By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
+# of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
+DEFAULTS = {
+    "transport": {"content_weight": 0.005, "color_weight": 1.0, "displacement_weight": 0.003, "coarse": 0.5},
+    "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0},
+    "gram": {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0},
+}
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
-DEFAULT = {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0}
-DEFORMED_OBJECT = DEFAULT | {"color_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
+DEFORMED_OBJECT = {"color_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
-REFERENCE = DEFAULT | {"content_weight": 0.1, "color_weight": 5.0}
+REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
-LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1,conv4_1", "gram": "conv2,conv3,conv4"}
+LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
@@ -87,7 +94,7 @@ def strategy_of(config: ArfConfig, long_side: int) -> str:
 
 
 def image_loss(config: StylizeConfig) -> str:
-    """nnfm, transport or gram: how views, or images, are compared with the style image."""
+    """transport, nnfm or gram: how views, or images, are compared with the style image."""
     by_gram = isinstance(config, RefNprConfig) and config.reference_by == "gram"
     if by_gram or (isinstance(config, SnerfConfig) and config.image_by == "gram"):
         return "gram"
@@ -142,11 +149,12 @@ def settings_of(
         opaque_background: The field is a capture, not an object alone.
         region: Only a region is stylized; its colors equal the photos' from the start unless they are matched.
     """
-    defaults, match, kind = DEFAULT, match_of(config), SETTINGS[type(config)]
+    loss, match, kind = image_loss(config), match_of(config), SETTINGS[type(config)]
+    defaults = of_image = DEFAULTS[loss]
     if isinstance(config, DesrfConfig) and not opaque_background:
-        defaults = DEFORMED_OBJECT
+        defaults = defaults | DEFORMED_OBJECT
     if isinstance(config, RefNprConfig):
-        defaults = REFERENCE
+        defaults = defaults | REFERENCE
     chosen = {name: getattr(config, name, -1) for name in defaults}
     found = {name: default if chosen[name] == -1 else chosen[name] for name, default in defaults.items()}
     # DeSRF: 0.5 beside a style weight of 5.
@@ -161,17 +169,18 @@ def settings_of(
         own["displacement_weight"] = found["displacement_weight"]
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
-        weights = StyleWeights(1.0, DEFAULT["content_weight"], variation_weight, DEFAULT["color_weight"])
+        weights = StyleWeights(1.0, of_image["content_weight"], variation_weight, of_image["color_weight"])
     return same_named(
         config,
         kind,
         refit_steps=1 if region and match == "none" else config.refit_steps,
         match=match,
         weights=weights,
-        loss=image_loss(config),
+        loss=loss,
         variation=variation,
         coarse=found["coarse"],
-        feature_scale=config.feature_scale or min(1.0, max(0.5, 256 / long_side)),
+        feature_scale=config.feature_scale
+        or min(1.0, max(0.5, (FEATURE_SIDE if loss == "transport" else SMALL_VIEW) / long_side)),
         **own,
     )
 

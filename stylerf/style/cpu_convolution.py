@@ -72,7 +72,7 @@ def _convolve(image: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
 
 
 def max_pool_of_relu(features: Tensor, ceil: bool) -> Tensor:
-    """Return the 2x2 maxima at stride 2 of features [1, c, h, w] >= 0, [1, c, h', w']; odd sizes are rounded up or down."""
+    """Return the 2x2 maxima at stride 2 of features [1, c, h, w] >= 0; ceil: odd sizes are rounded up, else down."""
     return _MaxPool.apply(features, ceil)
 
 

@@ -1,11 +1,11 @@
-"""Matching features by entropic optimal transport, so that more of the style image is used than nearest neighbors use.
+"""Match features by entropic optimal transport: it uses more of the style image than nearest neighbors do.
 
-Of each content feature f_i the K nearest style features s_j are its edges E, with cost C = 1 - cos. The plan T minimizes
+Each content feature f_i has edges E to its K nearest style features s_j, of cost C = 1 - cos. The plan T minimizes
 
     <T, C> - eps H(T) + tau KL(T^t 1 || b),   T 1 = a,   T = 0 beyond E
 
-with a the weights of the positions (they sum to 1) and b uniform over the style features that have an edge: each f_i is
-matched in full, and a style feature that many prefer becomes expensive. With G = exp(-C / eps), T = diag(u) G diag(v):
+with a the weights of the positions (sum 1) and b uniform over the style features that have an edge: each f_i is
+matched in full, and a style feature that many prefer becomes expensive. With G = exp(-C/eps), T = diag(u) G diag(v):
 
     u = a / (G v),   v = (b / (G^t u))^(tau / (tau + eps))           (Sinkhorn's iteration, relaxed: Chizat et al. 2018)
 

@@ -27,7 +27,7 @@ def max_pool_gradient(features: np.ndarray, pooled: np.ndarray, gradient: np.nda
         _gradient_of_map(features[i], pooled[i], gradient[i], out[i])
 
 
-# One map each: numba (0.66) drops assignments to elements of row views that are made in the body of a prange.
+# One map each: numba (0.68) drops assignments to elements of row views that are made in the body of a prange.
 
 
 @inline
@@ -37,7 +37,7 @@ def _pool_map(features, pooled):
     for y in range(pooled.shape[0]):
         upper, lower, out = features[2 * y], features[min(2 * y + 1, height - 1)], pooled[y]
         for x in range(whole):
-            out[x] = max(max(upper[2 * x], upper[2 * x + 1]), max(lower[2 * x], lower[2 * x + 1]))
+            out[x] = max(upper[2 * x], upper[2 * x + 1], lower[2 * x], lower[2 * x + 1])
         if pooled.shape[1] > whole:
             out[whole] = max(upper[width - 1], lower[width - 1])
 

@@ -54,7 +54,7 @@ class ImageStyleSettings(StyleSettings):
     """What the methods with a style image share.
 
     Attributes:
-        loss: nnfm (nearest neighbor feature matching), transport (see style/transport.py) or gram (Gram matrices).
+        loss: transport (see style/transport.py), nnfm (nearest neighbor feature matching) or gram (Gram matrices).
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
         style_scale, style_rows, style_basis, variation, diversity: See style/style_objective.StyleObjective.

@@ -70,15 +70,16 @@ def test_the_digest_is_of_views_and_content(tmp_path):
 @pytest.mark.parametrize(
     ("options", "loss", "taps", "match"),
     [
-        ({}, "nnfm", "conv3", "both"),
-        ({"method": "desrf", "layers": "conv2"}, "nnfm", "conv2", "both"),
+        ({}, "transport", "conv2_1,conv3_1", "both"),
+        ({"match_by": "nearest"}, "nnfm", "conv3", "both"),
+        ({"method": "desrf", "layers": "conv2"}, "transport", "conv2", "both"),
         ({"method": "snerf"}, "gram", "conv2,conv3,conv4", "both"),
-        ({"method": "snerf", "image_by": "nnfm", "match": "none"}, "nnfm", "conv3", "none"),
-        ({"method": "refnpr"}, "nnfm", "conv3", "before"),
+        ({"method": "snerf", "image_by": "features", "match": "none"}, "transport", "conv2_1,conv3_1", "none"),
+        ({"method": "refnpr"}, "transport", "conv2_1,conv3_1", "before"),
         ({"method": "refnpr", "reference_by": "gram", "layers": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
-        ({"method": "refnpr", "reference_by": "adain"}, "nnfm", "conv3", "none"),
-        ({"method": "refnpr", "reference": ("0=x.png",)}, "nnfm", "conv3", "none"),
-        ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "nnfm", "conv3", "before"),
+        ({"method": "refnpr", "reference_by": "adain"}, "transport", "conv2_1,conv3_1", "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",)}, "transport", "conv2_1,conv3_1", "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "transport", "conv2_1,conv3_1", "before"),
     ],
 )
 def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
@@ -98,7 +99,7 @@ def test_a_painting_beside_references_must_have_a_say():
 
 def test_refnpr_uses_arfs_weights_for_the_refit_and_its_own_after():
     found = settings_of(RefNprConfig(style="x", style_weight=3.0), 200, True)
-    assert (found.weights.style, found.weights.content, found.weights.color) == (1.0, 0.02, 10.0)
+    assert (found.weights.style, found.weights.content, found.weights.color) == (1.0, 0.005, 1.0)
     weights = found.reference_feature_weights
     assert (weights.style, weights.content, weights.color) == (3.0, 0.1, 5.0)
 
@@ -122,5 +123,5 @@ def test_coarse_matches_are_found_by_the_last_block_or_the_deepest_layer():
 def test_layers_absent_from_the_weights_are_dropped_from_defaults_only():
     short = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS[:5]}  # to conv3_1
     config = RefNprConfig(style="x")
-    assert image_layers(config, short) == "conv3_1" and reference_layers(config, short) == "conv3_1"
+    assert image_layers(config, short) == "conv2_1,conv3_1" and reference_layers(config, short) == "conv3_1"
     assert reference_layers(replace(config, layers="conv3"), short) == "conv3"
