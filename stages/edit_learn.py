@@ -31,7 +31,7 @@ from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
-SPEC = Spec(stage="edit_learn", verb="stylize", revision=4, writes="edit", outside=digests_of_files)
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=5, writes="edit", outside=digests_of_files)
 
 
 def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -47,7 +47,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
         style_image = cropped(config)
         extractor = FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
-        if config.match and not config.preserve_color:
+        if config.match and not config.keep_colors:
             views = in_style_colors(views, style_image, context.seed)
     try:
         settings = settings_of(config)
@@ -94,7 +94,7 @@ def settings_of(config: EditConfig) -> EditSettings:
             smooth=config.smooth_weight,
         ),
         style_side=config.style_side,
-        preserve_color=config.preserve_color,
+        keep_colors=config.keep_colors,
         **({} if config.pruned_steps < 0 else pruned),
     )
 

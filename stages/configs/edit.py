@@ -22,7 +22,7 @@ class ExtractConfig:
 
 
 STYLE_ONLY = (
-    "crop", "match", "preserve_color", "style_steps", "style_weight", "style_side", "variation_weight", "edge_weight",
+    "crop", "match", "keep_colors", "style_steps", "style_weight", "style_side", "variation_weight", "edge_weight",
     "smooth_weight", "features", "layers",
 )  # fmt: skip
 LOSS, STEPS = "loss", "training"
@@ -36,7 +36,7 @@ class EditConfig:
     style: str = option("", help="the style image", digest="style_digest")
     style_digest: str = ""  # sha256 of the style image
     crop: tuple[int, ...] = option((), metavar="N", help="x y size: use this square of the style image")
-    preserve_color: bool = option(False, help="the style image's strokes in the region's colors")
+    keep_colors: bool = option(False, help="the style image's strokes in the region's colors")
     colors: int = option(8, help="palette colors at the beginning")
     max_colors: int = option(5, help="most palette colors at the end")
     budget: str = option("90s", metavar="TIME", help="most time for all steps")

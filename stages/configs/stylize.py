@@ -53,6 +53,7 @@ class StylizeConfig:
         choices=("auto", "both", "before", "after", "none"),
         help="color matching to the style image (auto: both; refnpr: before if it makes the reference, else none)",
     )
+    keep_colors: bool = option(False, help="the style image's strokes in the photos' colors")
     rate: float = option(3e-2, help="learning rate of the colors")
     layers: str = advanced(
         "",
@@ -122,6 +123,8 @@ class StylizeConfig:
             raise ValueError("refit_steps and style_basis must not be negative, rate > 0, style_rows at least 1")
         if self.rollbacks < 0 or self.gradient_clip < 0 or not 0 <= self.min_spread <= 0.25:
             raise ValueError("rollbacks and gradient_clip must not be negative, min_spread in 0..0.25")
+        if self.keep_colors and (self.match != "auto" or self.references):
+            raise ValueError("--keep-colors matches the style image to the photos; leave --match and --reference out")
         if self.diversity < 0:
             raise ValueError("diversity must not be negative")
         if self.match_by == "nearest" and self.diversity != StylizeConfig.diversity:

@@ -41,6 +41,7 @@ DEFAULTS = {
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
 DEFORMED_OBJECT = {"color_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
+KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
@@ -125,6 +126,8 @@ def coarse_layers(state: Mapping[str, torch.Tensor]) -> str:
 
 def match_of(config: StylizeConfig) -> str:
     """When colors are matched. Ref-NPR matches none, but a reference made of a matched photo needs matched photos."""
+    if config.keep_colors:
+        return "after"
     if config.match != "auto":
         return config.match
     if not isinstance(config, RefNprConfig):
@@ -155,6 +158,8 @@ def settings_of(
         defaults = defaults | DEFORMED_OBJECT
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
+    if config.keep_colors:
+        defaults = defaults | KEPT_COLORS
     chosen = {name: getattr(config, name, -1) for name in defaults}
     found = {name: default if chosen[name] == -1 else chosen[name] for name, default in defaults.items()}
     # DeSRF: 0.5 beside a style weight of 5.

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from stylerf.editing.extraction import EditView
 from stylerf.errors import InvalidValue
-from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import FeatureExtractor, fitted
 from stylerf.style.style_objective import gram_distance, gram_matrix, position_weights
 
@@ -20,11 +19,6 @@ def crop_of(style_image: Tensor, x: int, y: int, size: int) -> Tensor:
     if size < 1 or x < 0 or y < 0 or x + size > width or y + size > height:
         raise InvalidValue(f"a crop of {size} pixels at {x},{y} does not fit into a style image of {width}x{height}")
     return style_image[:, y : y + size, x : x + size].contiguous()
-
-
-def in_colors_of(style_image: Tensor, colors: np.ndarray) -> Tensor:
-    """Give a style image [3, h, w] the mean and covariance of colors [n, 3], keeping its strokes."""
-    return match_colors(style_image.flatten(1).T, torch.from_numpy(colors)).image(style_image).float()
 
 
 @dataclass(frozen=True, eq=False)

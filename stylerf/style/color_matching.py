@@ -44,6 +44,7 @@ def match_colors(
     content: Tensor,  # [n, 3] sRGB
     style: Tensor,  # [m, 3] sRGB
     content_weights: Tensor | None = None,  # [n], for example alpha
+    style_weights: Tensor | None = None,  # [m]
 ) -> ColorMap:
     """Return the map that gives the content the style's weighted mean and covariance, before clamping; float64, CPU.
 
@@ -51,10 +52,15 @@ def match_colors(
     noise would turn into colors.
     """
     mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
-    mean_s, covariance_s = color_statistics(style.cpu())
+    mean_s, covariance_s = color_statistics(style.cpu(), _on_cpu(style_weights))
     # A V_c A^T = V_s for A = V_s^(1/2) Q V_c^(-1/2) with any orthogonal Q; ARF takes the identity.
     matrix = symmetric_power(covariance_s, 0.5) @ symmetric_power(covariance_c, -0.5, NOISE)
     return ColorMap(matrix, mean_s - matrix @ mean_c)
+
+
+def in_colors_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Give a style image [3, h, w] the weighted mean and covariance of sRGB colors [n, 3], keeping its strokes."""
+    return match_colors(style_image.flatten(1).T, colors, style_weights=weights).image(style_image).float()
 
 
 def spread_at_least(style_image: Tensor, least: float) -> Tensor:

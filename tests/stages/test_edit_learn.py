@@ -15,7 +15,7 @@ def test_steps_after_pruning_are_those_that_were_requested():
 
 @pytest.mark.parametrize(
     "option",
-    [{"crop": (0, 0, 32)}, {"preserve_color": True}, {"style_steps": 9}, {"style_weight": 1.0}, {"features": "hed"},
+    [{"crop": (0, 0, 32)}, {"keep_colors": True}, {"style_steps": 9}, {"style_weight": 1.0}, {"features": "hed"},
      {"layers": "conv2"}, {"match": False}, {"style_side": 64}],
 )  # fmt: skip
 def test_options_of_a_painting_are_refused_without_one(option):

@@ -27,8 +27,9 @@ from stylerf.editing.palette_module import (
     clustered_palette,
     random_palette,
 )
-from stylerf.editing.region_style import Canvas, RegionStyle, in_colors_of
+from stylerf.editing.region_style import Canvas, RegionStyle
 from stylerf.errors import Diverged, InvalidValue
+from stylerf.style.color_matching import in_colors_of
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.edit.engine import CpuEditEngine
 
@@ -55,7 +56,7 @@ class EditSettings:
         pixels: Pixels per step without a style image.
         rate, table_rate: Learning rates of networks (palette: twice it) and table, falling to `final_rate`.
         style_side: See RegionStyle.
-        preserve_color: Give the style image the region's mean color and covariance first.
+        keep_colors: Give the style image the region's mean color and covariance first.
     """
 
     colors: int = 8
@@ -72,7 +73,7 @@ class EditSettings:
     final_rate: float = 0.1
     weights: EditWeights = field(default_factory=EditWeights)
     style_side: int = 128
-    preserve_color: bool = False
+    keep_colors: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= self.max_colors <= self.colors <= MOST_COLORS:
@@ -143,8 +144,9 @@ class EditTrainer:
         self._module, self.settings, self.seed, self.threads = module, settings, seed, threads
         self.style: RegionStyle | None = None
         if style is not None and extractor is not None:
-            if settings.preserve_color:
-                style = in_colors_of(style, sampled_colors(self.views, np.random.default_rng([seed, 6])))
+            if settings.keep_colors:
+                colors = sampled_colors(self.views, np.random.default_rng([seed, 6]))
+                style = in_colors_of(style, torch.from_numpy(colors))
             self.style = RegionStyle(extractor, style, settings.style_side)
         self.engine = engine(self.views, module, threads)
         self.state = EditState()

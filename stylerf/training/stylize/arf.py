@@ -64,7 +64,7 @@ class ViewLoss:
     @property
     def objective(self) -> StyleObjective:
         """The loss at the present feature scale; features of the style image are computed at first use."""
-        scene, s, style_image = self.scene, self.scene.settings, self.scene.problem.style_image
+        scene, s, style_image = self.scene, self.scene.settings, self.scene.style_image
         if style_image is None:
             raise InvalidValue("the style loss needs a style image")
         scale = s.feature_scale / 2 if scene.budget.progress < s.coarse else s.feature_scale

@@ -19,12 +19,19 @@ from stylerf.fields.radiance_field import ColorMap, RadianceField
 from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
-from stylerf.style.color_matching import match_colors, pixels_of, spread_at_least, spread_at_most, strokes_in
+from stylerf.style.color_matching import (
+    in_colors_of,
+    match_colors,
+    pixels_of,
+    spread_at_least,
+    spread_at_most,
+    strokes_in,
+)
 from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
-from stylerf.training.stylize.settings import DesrfSettings, StyleSettings, StyleState
+from stylerf.training.stylize.settings import DesrfSettings, ImageStyleSettings, StyleSettings, StyleState
 
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
 
@@ -177,6 +184,7 @@ class StyledScene(Generic[Settings_co]):
         geometry: What is rendered: `fixed`, or the deforming field after start_moving().
         shown: Views that show something to stylize.
         photos: The views' photos, in the style image's colors if settings.match says so.
+        style_image: Image whose features are matched; None without a style image.
         style_colors: Image whose colors are matched; None without a style image.
 
     Raises:
@@ -189,7 +197,7 @@ class StyledScene(Generic[Settings_co]):
         new_color: Callable[[np.random.Generator, "StyledScene[Settings_co]"], ColorPart],
     ) -> None:
         self.problem, self.cameras, self.background = problem, problem.cameras, np.float32(problem.background)
-        self.state, self.style_colors = StyleState(), problem.style_image
+        self.state, self.style_image, self.style_colors = StyleState(), problem.style_image, problem.style_image
         self.settings: Settings_co = problem.settings
         min_spread = self.settings.min_spread
         if problem.style_image is not None:
@@ -292,6 +300,10 @@ class StyledScene(Generic[Settings_co]):
         of_object = ObjectPhotos(photos, alpha, None if self.of_region else self.background)
         pixels = sum(camera.width * camera.height for camera in self.cameras)
         colors, weights = of_object.colors(p.seed, pixels)
+        if isinstance(s, ImageStyleSettings) and s.keep_colors and self.style_image is not None:
+            self.style_image = in_colors_of(self.style_image, colors, weights)
+            self.style_colors = self.style_image
+            return photos.__getitem__
         # Both matches aim at these colors: two bounds, one after the other, would allow their product.
         self.style_colors = spread_at_most(self.style_colors, colors, s.max_gain, weights)
         if s.match == "after":

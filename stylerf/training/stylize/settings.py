@@ -58,6 +58,7 @@ class ImageStyleSettings(StyleSettings):
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
         style_scale, style_rows, style_basis, variation, diversity: See style/style_objective.StyleObjective.
+        keep_colors: Give the style image the photos' colors, instead of the photos the style image's.
     """
 
     weights: StyleWeights = field(default_factory=StyleWeights)
@@ -69,6 +70,7 @@ class ImageStyleSettings(StyleSettings):
     style_basis: int = 96
     variation: str = "squared"
     diversity: float = 0.5
+    keep_colors: bool = False
 
     def for_style(self, strength: float) -> Self:
         return replace(self, weights=replace(self.weights, style=strength * self.weights.style))

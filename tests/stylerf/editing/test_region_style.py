@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.editing.region_style import RegionStyle, crop_of, in_colors_of
+from stylerf.editing.region_style import RegionStyle, crop_of
 from stylerf.errors import InvalidValue
 from tests.stylerf.editing.region_pictures import tiny_view, view_of
 from tests.stylerf.style.small_trunk import picture, small_trunk
@@ -74,18 +74,11 @@ def test_gradient_reaches_the_regions_pixels():
     assert float((gradient * along).sum()) == pytest.approx((ends[1] - ends[0]) / 2e-6, rel=1e-5)
 
 
-def test_crops_and_recolored_paintings():
+def test_crops_lie_within_the_style_image():
     painting = picture(20, 30, 5)
     assert torch.equal(crop_of(painting, 10, 5, 15), painting[:, 5:20, 10:25])
     for wrong in ((16, 0, 15), (0, 6, 15), (-1, 0, 5), (0, 0, 21)):
         with pytest.raises(InvalidValue, match="does not fit into a style image of 30x20"):
             crop_of(painting, *wrong)
-    generator = np.random.default_rng(0)
-    region = (0.5 + 0.08 * generator.normal(size=(4000, 3)) @ np.array([[1, 0.5, 0], [0, 1, 0], [0, 0.2, 0.5]])).astype(
-        np.float32
-    )
-    pixels = in_colors_of(painting, region).flatten(1).T.numpy()
-    np.testing.assert_allclose(pixels.mean(0), region.mean(0), atol=2e-3)
-    np.testing.assert_allclose(np.cov(pixels.T), np.cov(region.T), atol=5e-4)
     with pytest.raises(InvalidValue, match="too small"):
         RegionStyle(small_trunk(), painting, 6)

@@ -85,3 +85,17 @@ def test_nonsense_is_refused():
             color_matching.match_colors(wrong, colors(10, 0))
     with pytest.raises(InvalidValue):
         color_matching.match_colors(colors(10, 0), colors(10, 1), torch.zeros(10))
+
+
+def test_a_style_image_takes_the_weighted_mean_and_covariance_of_colors():
+    painting = torch.rand(3, 20, 30, generator=torch.Generator().manual_seed(5))
+    generator = np.random.default_rng(0)
+    axes = np.array([[1, 0.5, 0], [0, 1, 0], [0, 0.2, 0.5]])
+    colors = (0.5 + 0.08 * generator.normal(size=(4000, 3)) @ axes).astype(np.float32)
+    weights = np.ones(4000, np.float32)
+    weights[::2] = 0
+    colors[::2] = 0.9  # what has no weight
+    taken = color_matching.in_colors_of(painting, torch.from_numpy(colors), torch.from_numpy(weights))
+    pixels = taken.flatten(1).T.numpy()
+    np.testing.assert_allclose(pixels.mean(0), colors[1::2].mean(0), atol=2e-3)
+    np.testing.assert_allclose(np.cov(pixels.T), np.cov(colors[1::2].T), atol=5e-4)

@@ -8,7 +8,15 @@ from stylerf.errors import InvalidValue
 from stylerf.style import style_objective
 from stylerf.style.feature_extractor import resized, style_picture
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
-from stylerf.style.style_objective import CELLS, EVERYTHING, GramObjective, StyleObjective, StyleWeights, window_of
+from stylerf.style.style_objective import (
+    CELLS,
+    EVERYTHING,
+    GramObjective,
+    StyleObjective,
+    StyleWeights,
+    TransportObjective,
+    window_of,
+)
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 
@@ -346,3 +354,28 @@ def test_the_loss_in_a_wide_enough_window_equals_that_of_the_whole():
     part = made(image, made.content_of(photo, window), alpha, window)[1]
     for name in whole:
         assert part[name] == pytest.approx(whole[name], rel=1e-4), name
+
+
+def test_transport_is_small_for_the_style_image_and_ignores_what_has_no_weight(monkeypatch):
+    painting = picture(HEIGHT, WIDTH, 1)
+    made = TransportObjective(
+        small_trunk("conv2"), painting, (HEIGHT, WIDTH), StyleWeights(1, 0, 0, 0), scale=1.0, diversity=0.5
+    )
+    own, other = (float(made(image, None)[0]) for image in (painting, picture(HEIGHT, WIDTH, 2)))
+    assert 0 <= own < other / 2
+    alpha = torch.zeros(HEIGHT, WIDTH)
+    alpha[:, : WIDTH // 2] = 1
+    mixed = torch.where(alpha > 0, painting, picture(HEIGHT, WIDTH, 3))
+    changed = torch.where(alpha > 0, painting, picture(HEIGHT, WIDTH, 4))
+    changed[:, :, : WIDTH // 2 + 8] = mixed[:, :, : WIDTH // 2 + 8]  # within reach of features that count
+    assert float(made(mixed, None, alpha)[0]) == pytest.approx(float(made(changed, None, alpha)[0]), rel=1e-5)
+    assert float(made(mixed, None, torch.zeros(HEIGHT, WIDTH))[0]) == 0
+
+
+def test_transport_draws_other_positions_in_each_step(monkeypatch):
+    monkeypatch.setattr(style_objective, "POSITIONS", 20)
+    made = TransportObjective(small_trunk("conv2"), picture(30, 40, 1), (HEIGHT, WIDTH), StyleWeights(1, 0, 0, 0))
+    image, found = picture(HEIGHT, WIDTH, 2), []
+    for made.draw in (1, 2, 1):
+        found.append(float(made(image, None)[0]))
+    assert found[0] == found[2] != found[1]

@@ -143,7 +143,7 @@ def test_the_edge_of_a_region_holds_the_photo_while_it_is_stylized():
 
 
 def test_the_painting_in_the_regions_own_colors():
-    made, kept = trainer(style=True), trainer(style=True, preserve_color=True)
+    made, kept = trainer(style=True), trainer(style=True, keep_colors=True)
     assert not torch.allclose(made.style.grams[0], kept.style.grams[0], rtol=0.1)
 
 

@@ -12,6 +12,7 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.style import style_objective
 from stylerf.style.style_objective import StyleObjective, StyleWeights
 from stylerf.training.stylize import arf as module
 from stylerf.training.stylize import geometry
@@ -174,12 +175,13 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
 
 
 @pytest.mark.parametrize("deform", [False, True])
-@pytest.mark.parametrize("strategy", ["deferred", "dilated"])
-def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, deform):
-    whole = stylizer(strategy=strategy, deform=deform)
+@pytest.mark.parametrize(("strategy", "loss"), [("deferred", "nnfm"), ("dilated", "nnfm"), ("deferred", "transport")])
+def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, loss, deform, monkeypatch):
+    monkeypatch.setattr(style_objective, "POSITIONS", 40)  # transport draws them anew in each step
+    whole = stylizer(strategy=strategy, loss=loss, deform=deform)
     whole.run()
     expected, arrays = result_of(whole)
-    at = stylizer(strategy=strategy, deform=deform)
+    at = stylizer(strategy=strategy, loss=loss, deform=deform)
     seen = []
 
     def stop_after(count: int):
@@ -193,7 +195,7 @@ def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, defor
     for count in (3, 8, 9, 15):  # within the refit, at its last step, at the first of style, within it
         with pytest.raises(Stopped):
             at.run(stop_after(count))
-        at = resumed(stylizer(strategy=strategy, deform=deform), at)
+        at = resumed(stylizer(strategy=strategy, loss=loss, deform=deform), at)
     at.run()
     state, found = result_of(at)
     assert seen.count("style") == 7 and state == expected and state["phase"] == "done"
@@ -276,6 +278,19 @@ def test_colors_are_matched_when_requested(match):
     assert (made.scene.field.color_map is not None) == (match in ("after", "both"))
 
 
+def test_colors_that_are_kept_are_given_to_the_style_image():
+    made, plain = stylizer(match="after", keep_colors=True, steps=3), stylizer(match="none")
+    assert all(np.array_equal(one, other) for one, other in zip(made.scene.photos, plain.scene.photos, strict=True))
+    before, given = plain.scene.style_image.flatten(1), made.scene.style_image.flatten(1)
+    assert float((given - before).abs().mean()) > 0.01
+    covered = np.concatenate([made.scene.fixed.alpha(view).ravel() for view in range(len(made.scene.cameras))])
+    photos = np.concatenate([photo.reshape(-1, 3) for photo in made.scene.photos])
+    wanted = np.average((photos - (1 - covered[:, None]) * GRAY) / covered[:, None], axis=0, weights=covered)
+    assert np.abs(given.mean(1).numpy() - np.clip(wanted, 0, 1)).max() < np.abs(before.mean(1).numpy() - wanted).max()
+    made.run()
+    assert made.method.loss.objective is not None and made.scene.field.color_map is not None
+
+
 def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
     made = stylizer(match="none")
     made.scene.photos = [np.full_like(p, np.nan) for p in made.scene.photos]
@@ -283,8 +298,7 @@ def test_nan_in_a_photo_or_in_the_painting_is_a_divergence():
         made.run()
     made = stylizer(match="none")
     run_until(made, 5)
-    broken = torch.full_like(made.scene.problem.style_image, np.nan)
-    made.scene.problem = replace(made.scene.problem, style_image=broken)
+    made.scene.style_image = torch.full_like(made.scene.style_image, np.nan)
     with pytest.raises(Diverged, match="style step 0"):
         made.run()
 
