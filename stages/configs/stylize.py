@@ -47,6 +47,9 @@ class StylizeConfig:
         help="match each feature by optimal transport, which uses more of the style image, or with its nearest (NNFM)",
     )
     diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
+    structure_weight: float = option(
+        -1.0, help="weight of the photo's edges that are missing (-1: 3; nearest, gram, refnpr, deformed objects: 0)"
+    )
     style_scale: float = option(1.5, help="size of the style image relative to the view: larger gives larger strokes")
     match: str = option(
         "auto",
@@ -133,7 +136,7 @@ class StylizeConfig:
             raise ValueError("max_gain must not be negative (0: no limit)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
-        self._check_weights("variation_weight", "content_weight", "color_weight")
+        self._check_weights("variation_weight", "content_weight", "color_weight", "structure_weight")
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
             raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")

@@ -34,16 +34,17 @@ FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
 DEFAULTS = {
-    "transport": {"content_weight": 0.005, "color_weight": 1.0, "displacement_weight": 0.003, "coarse": 0.5},
-    "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0},
-    "gram": {"content_weight": 0.02, "color_weight": 10.0, "displacement_weight": 0.003, "coarse": 0.0},
+    "transport": {"content_weight": 0.005, "color_weight": 1.0, "structure_weight": 3.0, "coarse": 0.5},
+    "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
+    "gram": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
 }
+DISPLACEMENT_WEIGHT = 0.003
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
-DEFORMED_OBJECT = {"color_weight": 1.0, "displacement_weight": 0.0, "coarse": 0.6}
+DEFORMED_OBJECT = {"color_weight": 1.0, "structure_weight": 0.0, "coarse": 0.6}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
-REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "coarse": 0.0}
+REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
 LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
@@ -166,15 +167,20 @@ def settings_of(
     variation, variation_weight = ("diagonal", 0.1) if isinstance(config, DesrfConfig) else ("squared", 1.0)
     if config.variation_weight >= 0:
         variation_weight = config.variation_weight
-    weights = StyleWeights(config.style_weight, found["content_weight"], variation_weight, found["color_weight"])
+    photo = found["content_weight"], variation_weight, found["color_weight"], found["structure_weight"]
+    weights = StyleWeights(config.style_weight, *photo)
     own: dict[str, Any] = {}
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
     if isinstance(config, DesrfConfig):
-        own["displacement_weight"] = found["displacement_weight"]
+        own["displacement_weight"] = config.displacement_weight
+        if config.displacement_weight == -1:
+            own["displacement_weight"] = DISPLACEMENT_WEIGHT if opaque_background else 0.0
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
-        weights = StyleWeights(1.0, of_image["content_weight"], variation_weight, of_image["color_weight"])
+        weights = StyleWeights(
+            1.0, of_image["content_weight"], variation_weight, of_image["color_weight"], of_image["structure_weight"]
+        )
     return same_named(
         config,
         kind,

@@ -12,6 +12,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.srgb import LUMA
 from stylerf.style.feature_extractor import FeatureExtractor, feature_size, features, resized, style_picture
 from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
 from stylerf.style.transport import transport_targets
@@ -101,6 +102,33 @@ def diagonal_variation(image: Tensor) -> Tensor:
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
+def luma_gradient(picture: Tensor) -> Tensor:
+    """Return the gradient (right, down) of the luma, [2, h // EDGE_CELL, w // EDGE_CELL], of an image [3, h, w]."""
+    weights = picture.new_tensor(LUMA)[:, None, None]
+    luma = F.avg_pool2d((weights * picture).sum(0)[None], EDGE_CELL)[0]
+    return torch.stack([F.pad(luma[:, 1:] - luma[:, :-1], (0, 1)), F.pad(luma[1:] - luma[:-1], (0, 0, 0, 1))])
+
+
+def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) -> Tensor:
+    """Return how much of the photo's edges is missing: the mean of max(0, |p| - <r, p / |p|>), weighted by alpha.
+
+    r is the luma's gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere, and strengthen
+    the photo's; a style image's plain parts may not cover what is in them: petals, letters, faces.
+
+    Args:
+        wanted: p, [2, h', w'].
+        alpha: [h, w], or None for 1 everywhere.
+    """
+    length = torch.linalg.vector_norm(wanted, dim=0)
+    along = (luma_gradient(picture) * wanted).sum(0) / length.clamp_min(1e-6)
+    missing = F.relu(length - along)
+    if alpha is None:
+        return missing.mean()
+    weights = F.avg_pool2d(alpha[None], EDGE_CELL)[0]
+    return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
+
+
+EDGE_CELL = 4  # pixels: finer edges would be made of grain
 POSITIONS = 2048  # features of a block that transport matches at a time
 CELLS = 32  # along the longer side: the resolution at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of an image
@@ -122,30 +150,33 @@ class StyleWeights:
         variation: Of the total variation.
         color: Of the mean squared difference of the mean colors of CELLS cells: features hardly depend on color, which
             would drift otherwise (docs/decisions/0012).
+        structure: Of the edges of the photo that are missing (see missing_edges).
     """
 
     style: float = 1.0
     content: float = 1e-2
     variation: float = 1.0
     color: float = 10.0
+    structure: float = 0.0
 
     @property
     def need_photo(self) -> bool:
         """Whether any term depends on the photo."""
-        return self.content > 0 or self.color > 0
+        return self.content > 0 or self.color > 0 or self.structure > 0
 
 
 @dataclass(frozen=True)
 class Content:
-    """Targets from a view's photo: features by block, and mean colors of cells [3, rows, columns]."""
+    """Targets from a view's photo: features by block, mean colors of cells [3, rows, columns], luma gradient [2, h/4, w/4]."""
 
     features: dict[str, Tensor]
     colors: Tensor
+    edges: Tensor
 
     @property
     def bytes(self) -> int:
         """Memory used."""
-        return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors))
+        return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors, self.edges))
 
 
 class FeatureLoss:
@@ -230,7 +261,8 @@ class StyleObjective(FeatureLoss):
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
         """Return the targets from a photo [3, h, w], in half precision, as they are held for every view."""
-        return Content({block: f.half() for block, f in self.features_of(photo, window).items()}, cell_colors(photo))
+        found = {block: f.half() for block, f in self.features_of(photo, window).items()}
+        return Content(found, cell_colors(photo), luma_gradient(photo).half())
 
     def __call__(
         self, picture: Tensor, content: Content | None, alpha: Tensor | None = None, window: Window = EVERYTHING
@@ -259,7 +291,11 @@ class StyleObjective(FeatureLoss):
             weights = torch.ones_like(apart) if alpha is None else cell_colors(alpha[None])[0]
             # Empty views have no weight: 0 instead of 0/0.
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
+        structure = picture.new_zeros(())
+        if content is not None and self.weights.structure > 0:
+            structure = missing_edges(picture, content.edges.to(picture), alpha)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
+        parts["structure"] = structure
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
 
 

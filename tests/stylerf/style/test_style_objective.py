@@ -379,3 +379,30 @@ def test_transport_draws_other_positions_in_each_step(monkeypatch):
     for made.draw in (1, 2, 1):
         found.append(float(made(image, None)[0]))
     assert found[0] == found[2] != found[1]
+
+
+def test_missing_edges_are_those_of_the_photo_that_an_image_lacks():
+    ramp = torch.linspace(0, 0.9, 32).expand(3, 24, 32)
+    wanted = style_objective.luma_gradient(ramp)
+    step = 4 * 0.9 / 31  # of luma from cell to cell, in 7 of 8 columns
+    assert float(style_objective.missing_edges(torch.zeros(3, 24, 32), wanted)) == pytest.approx(step * 7 / 8, rel=1e-3)
+    assert float(style_objective.missing_edges(ramp, wanted)) == pytest.approx(0, abs=1e-6)
+    down = torch.linspace(0, 0.5, 24)[:, None].expand(3, 24, 32)
+    assert float(style_objective.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
+    turned = float(style_objective.missing_edges(ramp.flip(2), wanted))
+    assert turned == pytest.approx(2 * step * 7 / 8, rel=1e-3)
+    grain = 0.05 * torch.randn(3, 24, 32, generator=torch.Generator().manual_seed(0))
+    assert float(style_objective.missing_edges(grain, wanted)) > 0.9 * step * 7 / 8  # grain makes no edges
+    left = torch.zeros(24, 32)
+    left[:, :16] = 1
+    half = torch.cat([ramp[:, :, :20], torch.zeros(3, 24, 12)], dim=2)
+    assert float(style_objective.missing_edges(half, wanted, left)) == pytest.approx(0, abs=1e-6)
+
+
+def test_structure_is_part_of_the_loss_where_it_has_a_weight():
+    image, photo = picture(HEIGHT, WIDTH, 2), picture(HEIGHT, WIDTH, 3)
+    made = objective(StyleWeights(0, 0, 0, 0, 2.0))
+    loss, parts = made(image, made.content_of(photo))
+    expected = float(style_objective.missing_edges(image, style_objective.luma_gradient(photo)))
+    assert float(loss) == pytest.approx(2 * expected, rel=1e-2) and parts["structure"] > 0
+    assert objective(StyleWeights(1, 0, 0, 0, 0)).weights.need_photo is False
