@@ -132,7 +132,7 @@ STYLE = (
         "sifid", "SIFID-style distance, {style_network}", "", "lower", 3,
         "Squared Frechet distance between the features of {style_network} at the positions of the render and of "
         "{style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. No method matches "
-        "these features unless told to. SIFID proper uses Inception, so its values differ.",
+        "these features by default. SIFID proper uses Inception, so its values differ.",
     ),
     MetricDefinition(
         "palette", "Color distance to {style_label}", "", "lower", 4,

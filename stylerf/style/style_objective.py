@@ -167,7 +167,7 @@ class StyleWeights:
 
 @dataclass(frozen=True)
 class Content:
-    """Targets from a view's photo: features by block, mean colors of cells [3, rows, columns], luma gradient [2, h/4, w/4]."""
+    """Targets from a view's photo: features by block, mean colors of cells [3, rows, columns], luma_gradient()."""
 
     features: dict[str, Tensor]
     colors: Tensor
