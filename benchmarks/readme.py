@@ -291,6 +291,24 @@ def _beside_bound(row: dict, name: str) -> str:
     return f"{ms:.1f}" + (f" ({ms / bound:.1f}x)" if bound else "")
 
 
+def looks() -> str:
+    """Markdown of what features and their gradient cost on the CPU, by layers and size; empty if not measured."""
+    if not (RESULTS / "extractor.json").is_file():
+        return ""
+    report = result("extractor.json")
+    lines = [
+        "| layers | image | direct | Winograd | ratio | direct, GFLOP/s |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in report["looks"]:
+        lines.append(
+            f"| {row['layers']} | {row['size']} | {row['direct_seconds']:.2f} s | {row['winograd_seconds']:.2f} s "
+            f"| {row['ratio']:.2f} | {row['direct_gflops']:.0f} |"
+        )
+    targets = ", ".join(f"{row['seconds']:.3f} s at {row['channels']} channels" for row in report["transport"])
+    return "\n".join([*lines, "", f"Transport: {targets}. " + where(report)])
+
+
 def stress() -> str:
     """The heat map of methods under faults, and total success rates; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
@@ -401,7 +419,7 @@ BLOCKS = {
         "scenes": scenes_under_stress,
         "remedies": remedies,
     },
-    "docs/performance.md": {"profile": profile},
+    "docs/performance.md": {"profile": profile, "looks": looks},
 }
 # By picture name, which starts with the name of its result file.
 CHARTS = {

@@ -64,13 +64,17 @@ def layers_of(names: str | Iterable[str]) -> tuple[str, ...]:
 class FeatureExtractor(nn.Module):
     """A frozen chain of convolutions that returns the ReLU outputs of some of its layers, in network order.
 
-    Ends at the deepest of them. Gradients flow to the image only. Weights and activations are channels-last, which
-    oneDNN runs 1.2 to 1.4 times faster on the CPU (measured at 252x189 and 504x378, two threads).
+    Ends at the deepest of them. Gradients flow to the image only. Single images on the CPU are convolved by Winograd's
+    transforms (see cpu_convolution.py). Elsewhere weights and activations are channels-last, which oneDNN runs 1.2 to
+    1.4 times faster (measured at 252x189 and 504x378, two threads).
 
     Args:
         state: Weights, in the module's format.
         layers: Layers to return, as `layers_of` takes them.
         architecture: One of ARCHITECTURES.
+
+    Attributes:
+        winograd: Whether it may use them.
     """
 
     input_scale: Tensor
@@ -93,6 +97,7 @@ class FeatureExtractor(nn.Module):
             weight = state[f"{layer}.weight"].detach().float().contiguous(memory_format=torch.channels_last)
             self.register_buffer(f"{layer}_weight", weight)
             self.register_buffer(f"{layer}_bias", state[f"{layer}.bias"].detach().float().clone())
+        self.winograd = self.architecture.padding == "zeros" and self.architecture.pooling != "blur"
         self._convolutions: dict[str, FrozenConvolution] = {}
         blur = torch.tensor(BLUR_KERNEL)
         self.register_buffer("blur", torch.outer(blur, blur) / blur.sum() ** 2)
@@ -134,8 +139,8 @@ class FeatureExtractor(nn.Module):
         return found
 
     def _by_winograd(self, image: Tensor) -> bool:
-        plain = self.architecture.padding == "zeros" and self.architecture.pooling != "blur" and len(image) == 1
-        return plain and image.device.type == "cpu" and image.dtype == torch.float32 and winograd_available()
+        on_cpu = len(image) == 1 and image.device.type == "cpu" and image.dtype == torch.float32
+        return self.winograd and on_cpu and winograd_available()
 
     def _forward_by_winograd(self, hidden: Tensor) -> list[Tensor]:
         found = []

@@ -40,12 +40,11 @@ def transport_targets(
     count = min(NEIGHBORS, len(style))
     cosines, chosen = (content @ style.T).topk(count, dim=1)  # [n, K]
     kernel = torch.exp((cosines - 1) / BLUR)
-    source = torch.full((len(content),), 1 / len(content)) if weights is None else weights / weights.sum()
-    source = source.to(content)
+    source = content.new_full((len(content),), 1 / len(content)) if weights is None else weights / weights.sum()
     flat = chosen.flatten()
-    reached = torch.zeros(len(style), device=content.device).index_fill_(0, flat, 1.0)
+    reached = content.new_zeros(len(style)).index_fill_(0, flat, 1.0)
     wanted = reached / reached.sum()
-    scaling = torch.ones(len(style), device=content.device)  # v
+    scaling = content.new_ones(len(style))  # v
     exponent = diversity / (diversity + BLUR)
     for _ in range(ROUNDS):
         rows = source / (kernel * scaling[chosen]).sum(1)  # u
