@@ -195,7 +195,8 @@ def test_a_bound_below_what_a_fit_takes_is_reported():
 def test_a_time_budget_says_what_comes_on_top_of_it():
     cameras = [SimpleNamespace(width=20, height=10)] * 6
     fitter = SimpleNamespace(
-        settings=SimpleNamespace(seconds=60.0), check_seconds=0.2, held_out_rays=400, checks=2,
+        settings=SimpleNamespace(seconds=60.0), check_seconds=0.2, held_out_rays=SimpleNamespace(rays=(range(400),)),
+        checks=2,
         state=SimpleNamespace(seconds=5.0),
         dataset=SimpleNamespace(cameras=cameras),
     )  # fmt: skip

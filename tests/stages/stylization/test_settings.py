@@ -38,8 +38,12 @@ def test_rays_follow_from_method_and_size_unless_requested(method, options, side
     ("method", "options", "closed", "color", "displacement", "coarse"),
     [
         ("desrf", {}, False, 1.0, 0.0, 0.6),
-        ("desrf", {}, True, 10.0, 0.003, 0.0),
-        ("arf", {}, False, 10.0, None, 0.0),
+        ("desrf", {}, True, 1.0, 0.003, 0.5),
+        ("desrf", {"match_by": "nearest"}, True, 10.0, 0.003, 0.0),
+        ("desrf", {"displacement_weight": 0.2}, False, 1.0, 0.2, 0.6),
+        ("arf", {}, False, 1.0, None, 0.5),
+        ("arf", {"match_by": "nearest"}, True, 10.0, None, 0.0),
+        ("arf", {"keep_colors": True}, True, 10.0, None, 0.5),
         ("desrf", {"coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
     ],
 )
@@ -52,3 +56,28 @@ def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
         displacement,
         coarse,
     )
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "structure", "scale"),
+    [
+        ("arf", {}, 3.0, 512 / 800),
+        ("arf", {"match_by": "nearest"}, 0.0, 0.5),
+        ("snerf", {}, 0.0, 0.5),
+        ("refnpr", {}, 3.0, 512 / 800),
+        ("arf", {"structure_weight": 1.0, "feature_scale": 0.25}, 1.0, 0.25),
+    ],
+)
+def test_how_images_are_compared_decides_on_edges_and_size(method, options, structure, scale):
+    found = settings_of(CONFIGS[method](style="x", **options), 800, True)
+    assert (found.weights.structure, found.feature_scale) == (structure, scale)
+    if method == "refnpr":  # a view follows its reference, not the photo's edges
+        assert found.reference_feature_weights.structure == 0
+
+
+@pytest.mark.parametrize(
+    "options", [{"match_by": "nearest", "diversity": 1.0}, {"keep_colors": True, "match": "before"}, {"diversity": -1.0}]
+)
+def test_options_that_would_have_no_effect_are_refused(options):
+    with pytest.raises(ValueError, match=r"--diversity|--keep-colors|diversity"):
+        ArfConfig(style="x", **options)
