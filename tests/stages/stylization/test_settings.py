@@ -76,7 +76,8 @@ def test_how_images_are_compared_decides_on_edges_and_size(method, options, stru
 
 
 @pytest.mark.parametrize(
-    "options", [{"match_by": "nearest", "diversity": 1.0}, {"keep_colors": True, "match": "before"}, {"diversity": -1.0}]
+    "options",
+    [{"match_by": "nearest", "diversity": 1.0}, {"keep_colors": True, "match": "before"}, {"diversity": -1.0}],
 )
 def test_options_that_would_have_no_effect_are_refused(options):
     with pytest.raises(ValueError, match=r"--diversity|--keep-colors|diversity"):
