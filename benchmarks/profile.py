@@ -133,7 +133,7 @@ class Watch:
         def timed(*arguments):
             begun = time.perf_counter()
             if name == "adam":
-                self.moved += moved_by_adam(arguments[1], *arguments[10:12])
+                self.moved += moved_by_adam(arguments[0].gradients, *arguments[2:4])
             self.last[name] = arguments
             at = time.perf_counter()
             self.looking += at - begun

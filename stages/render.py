@@ -4,6 +4,7 @@ Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whos
 """
 
 import functools
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
@@ -85,15 +86,17 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         if device
         else functools.partial(render_view, field, threads=threads)
     )
-    field_name = inputs["field"].name
+    field_name, recording = inputs["field"].name, threading.Lock()
     with nullcontext() if device else compiling_note(context.progress.say):
 
-        def write(job: tuple[Frame, Camera, RenderedView | None]) -> list[str]:
+        def write(job: tuple[Frame, Camera, RenderedView | None]) -> None:
             frame, camera, rendered = job
             if rendered is None:
-                return []
+                return
             _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
-            return _files_of(frame, config, field, cells)
+            # Here, in the thread: an interrupted render waits for it, and must not lose the frame.
+            with recording:
+                journal.add(_files_of(frame, config, field, cells))
 
         def rendered_frames() -> Iterator[tuple[Frame, Camera, RenderedView | None]]:
             for frame, (camera, _) in zip(listed, shots, strict=True):
@@ -101,9 +104,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
                 yield frame, camera, None if held else render_frame(renderer, frame, camera, cells, field_name)
 
         # A frame is written while the next one is rendered: codecs use one core, and the disk none.
-        for done, files in enumerate(in_order(write, rendered_frames(), WRITTEN_AT_ONCE), start=1):
-            if files:
-                journal.add(files)
+        for done, _ in enumerate(in_order(write, rendered_frames(), WRITTEN_AT_ONCE), start=1):
             context.progress.update(done)
     context.progress.finish()
     masks = channels if config.exr else {}
