@@ -67,7 +67,8 @@ def photos(tmp_path_factory) -> Path:
 @pytest.fixture
 def job(photos, tmp_path) -> Job:
     masks = tuple((str(photos / "masks" / f"p0{n}.png") if n < 2 else "", "") for n in range(4))
-    return Job(str(tmp_path), tuple(str(photos / f"p0{n}.png") for n in range(4)), masks)
+    # On one thread: on two, a busy machine rarely finds no match at all in a pair, and runs are compared here.
+    return Job(str(tmp_path), tuple(str(photos / f"p0{n}.png") for n in range(4)), masks, threads=1)
 
 
 @pytest.mark.parametrize("damage", [flipped, cut, Path.unlink])
