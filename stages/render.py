@@ -100,7 +100,8 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
 
         def rendered_frames() -> Iterator[tuple[Frame, Camera, RenderedView | None]]:
             for frame, (camera, _) in zip(listed, shots, strict=True):
-                held = journal.holds(_files_of(frame, config, field, cells))
+                with recording:
+                    held = journal.holds(_files_of(frame, config, field, cells))
                 yield frame, camera, None if held else render_frame(renderer, frame, camera, cells, field_name)
 
         # A frame is written while the next one is rendered: codecs use one core, and the disk none.

@@ -141,6 +141,10 @@ class StylizeConfig:
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
             raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
 
+    def _refuse_matching(self, beside: str) -> None:
+        if (self.match_by, self.diversity) != (StylizeConfig.match_by, StylizeConfig.diversity):
+            raise ValueError(f"--match-by and --diversity have no effect with {beside}; leave them out")
+
     def _check_weights(self, *names: str) -> None:
         for name in names:
             if getattr(self, name) < 0 and getattr(self, name) != -1:
@@ -207,6 +211,8 @@ class SnerfConfig(StylizeConfig):
         super().__post_init__()
         if self.rounds < 1 or self.image_steps < 1:
             raise ValueError("rounds and image_steps must be at least 1")
+        if self.image_by == "gram":
+            self._refuse_matching("--image-by gram")
         if not 0 < self.image_share < 1 or self.image_rate <= 0:
             raise ValueError("image_share must be between 0 and 1, image_rate > 0")
 
@@ -246,6 +252,8 @@ class RefNprConfig(ArfConfig):
             raise ValueError("with --reference, --style has no effect unless --match before takes its colors")
         if self.reference and (self.reference_by or self.reference_view):
             raise ValueError("--reference gives the stylized views; --reference-by and --reference-view make one")
+        if self.reference or self.reference_by in ("gram", "adain"):
+            self._refuse_matching("--reference" if self.reference else f"--reference-by {self.reference_by}")
         views = [file_of(text)[0] for text in self.reference]
         if len(set(views)) < len(views):
             raise ValueError(f"a view has two references: {', '.join(views)}")

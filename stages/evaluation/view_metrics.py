@@ -10,9 +10,10 @@ from stages.evaluation.metrics import Row, is_number
 from stages.evaluation.test_views import Photo, Render
 from stylerf.errors import InvalidValue
 from stylerf.metrics import image_quality
+from stylerf.metrics.colorfulness import colorfulness
 from stylerf.metrics.consistency import seen_through
 from stylerf.metrics.depth import depth_errors, shape_change
-from stylerf.metrics.frechet import colorfulness, palette_distance
+from stylerf.metrics.frechet import palette_distance
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
 Score = Callable[[np.ndarray, np.ndarray], float]

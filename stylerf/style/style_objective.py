@@ -102,6 +102,9 @@ def diagonal_variation(image: Tensor) -> Tensor:
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
+EDGE_CELL = 4  # pixels: finer edges would be made of grain
+
+
 def luma_gradient(picture: Tensor) -> Tensor:
     """Return the gradient (right, down) of the luma, [2, h // EDGE_CELL, w // EDGE_CELL], of an image [3, h, w]."""
     weights = picture.new_tensor(LUMA)[:, None, None]
@@ -128,7 +131,6 @@ def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) 
     return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
 
 
-EDGE_CELL = 4  # pixels: finer edges would be made of grain
 POSITIONS = 2048  # features of a block that transport matches at a time
 CELLS = 32  # along the longer side: the resolution at which colors are kept
 Window = tuple[slice, slice]  # rows and columns of an image

@@ -82,3 +82,17 @@ def test_how_images_are_compared_decides_on_edges_and_size(method, options, stru
 def test_options_that_would_have_no_effect_are_refused(options):
     with pytest.raises(ValueError, match=r"--diversity|--keep-colors|diversity"):
         ArfConfig(style="x", **options)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("snerf", {"style": "x", "match_by": "nearest"}),
+        ("refnpr", {"style": "x", "reference_by": "gram", "diversity": 1.0}),
+        ("refnpr", {"reference": ("0=x.png",), "match_by": "nearest"}),
+    ],
+)
+def test_matching_is_refused_where_no_features_are_matched(method, options):
+    with pytest.raises(ValueError, match="--match-by and --diversity have no effect"):
+        CONFIGS[method](**options)
+    CONFIGS[method](**options | {"match_by": "transport", "diversity": 0.5})

@@ -177,7 +177,7 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
 @pytest.mark.parametrize("deform", [False, True])
 @pytest.mark.parametrize(("strategy", "loss"), [("deferred", "nnfm"), ("dilated", "nnfm"), ("deferred", "transport")])
 def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, loss, deform, monkeypatch):
-    monkeypatch.setattr(style_objective, "POSITIONS", 40)  # transport draws them anew in each step
+    monkeypatch.setattr(style_objective, "POSITIONS", 40)  # transport draws new ones in each step
     whole = stylizer(strategy=strategy, loss=loss, deform=deform)
     whole.run()
     expected, arrays = result_of(whole)
