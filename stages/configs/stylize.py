@@ -34,7 +34,7 @@ class StylizeConfig:
     features_digest: str = ""  # sha256 of that file
     style_weight: float = option(1.0, help="weight of the style distance")
     content_weight: float = option(
-        -1.0, help="weight of the content distance (-1: 0.005; nearest, gram: 0.02; refnpr: 0.1)"
+        -1.0, help="weight of the content distance (-1: 0.005; nearest, gram, deformed objects: 0.02; refnpr: 0.1)"
     )
     color_weight: float = option(
         -1.0,

@@ -41,7 +41,7 @@ DEFAULTS = {
 DISPLACEMENT_WEIGHT = 0.003
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
-DEFORMED_OBJECT = {"color_weight": 1.0, "structure_weight": 0.0, "coarse": 0.6}
+DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "structure_weight": 0.0, "coarse": 0.6}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "coarse": 0.0}
