@@ -280,7 +280,7 @@ def frames_of(work: Path, device: torch.device) -> dict:
     from stages.artifacts.scene import load_scene
 
     store = WorkFolder(work)
-    scene = load_scene(store.get("scene", "scene"))
+    scene = load_scene(store.get("scene", "main"))
     field, _ = load_field(store.get("field", f"fit-{BUDGETS[-1]}"))
     return frames(field, [scene.cameras[i] for i in scene.splits["test"][:16]], device)
 

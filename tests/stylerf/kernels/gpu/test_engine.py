@@ -1,6 +1,7 @@
 """The device engine, views and surfaces beside the CPU's: same gradients, same pictures, same loop."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -326,8 +327,9 @@ def test_a_pruning_goes_to_the_device_and_comes_back_refused(bank, device):
 def test_a_view_is_the_cpus_picture(device):
     from stylerf.rendering.view_gpu import GpuRenderer
 
-    field, camera = thin_field(step=1 / 6, color=hash_color(5)), dome(1, 2, 7)[0]
-    cells = np.zeros((4, 4, 4), bool)
+    # Off the center: rays through the origin would run along sides of cells, where rounding decides.
+    camera = replace(dome(1, 2, 7)[0], cx=3.3, cy=3.4)
+    field, cells = thin_field(step=1 / 6, color=hash_color(5)), np.zeros((4, 4, 4), bool)
     cells[1:3, :, 2] = True
     expected = render_view(field, camera, threads=1, regions={"one": cells})
     found = GpuRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})
@@ -345,7 +347,9 @@ def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, back
     expected = render_view(field, camera, threads=1)
     found = GpuRenderer(field, device, "float32").view(camera)
     np.testing.assert_allclose(found.z, z, rtol=0.05)
-    np.testing.assert_allclose(found.z, expected.z, rtol=1e-5)
+    # Skips of empty cells are whole numbers of steps, 4 to a cell here: rounding decides between two of them, and a
+    # sample may lie a step apart, which is z^2 / 384 of depth.
+    np.testing.assert_allclose(found.z, expected.z, atol=z**2 / 384)
 
 
 @pytest.mark.slow
