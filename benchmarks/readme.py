@@ -28,7 +28,8 @@ def where(report: dict) -> str:
     note = f" Note: {report['remark']}." if "remark" in report else ""
     seeds = int(report.get("conditions", {}).get("seeds", 1))
     seeds_text = f"{seeds} seeds" if seeds > 1 else "one seed"
-    return f"{cores} CPU cores, no GPU, {report['date']}; `{report['command']}`; {seeds_text}.{note}"
+    gpu = report["machine"].get("gpu", "no GPU")
+    return f"{cores} CPU cores, {gpu}, {report['date']}; `{report['command']}`; {seeds_text}.{note}"
 
 
 def summary() -> str:
@@ -62,6 +63,23 @@ def fits() -> str:
         lines.append(
             f"| {row['scene']} | {row['train_seconds']:.0f} s | {row['psnr']:.2f} dB | {row['ssim']:.3f} "
             f"| {row['parameters'] / 1e6:.2f} M | {row['resolution']}^3 | {row['peak_memory_mb'] / 1000:.1f} GB |"
+        )
+    return "\n".join([*lines, "", where(report)])
+
+
+def on_gpu() -> str:
+    """Markdown of what was measured on a GPU: fits and a stylization."""
+    report = result("gpu.json")
+    lines = [
+        "| run | training | whole stage | steps | held-out PSNR | SSIM | GPU memory |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    fits = [("lego 800x800", row) for row in report["lego"]["rows"]] + [("fern 1008x756", report["fern"])]
+    for name, row in [*fits, ("arf on that fern", report["arf"])]:
+        quality = f"{row['psnr']:.2f} dB | {row['ssim']:.3f}" if "psnr" in row else "– | –"
+        lines.append(
+            f"| {name} | {row['train_seconds']:.0f} s | {row['wall_seconds']:.0f} s | {row['steps']} | {quality} "
+            f"| {row['gpu_memory_mb'] / 1000:.1f} GB |"
         )
     return "\n".join([*lines, "", where(report)])
 
@@ -406,6 +424,7 @@ BLOCKS = {
     "README.md": {"fits": summary},
     "docs/results.md": {
         "fits": fits,
+        "gpu": on_gpu,
         "tensorf": tensorf,
         "capacities": capacities,
         "kinds": kinds,

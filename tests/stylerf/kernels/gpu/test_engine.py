@@ -1,7 +1,6 @@
 """The device engine, views and surfaces beside the CPU's: same gradients, same pictures, same loop."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -327,9 +326,9 @@ def test_a_pruning_goes_to_the_device_and_comes_back_refused(bank, device):
 def test_a_view_is_the_cpus_picture(device):
     from stylerf.rendering.view_gpu import GpuRenderer
 
-    # Off the center: rays through the origin would run along sides of cells, where rounding decides.
-    camera = replace(dome(1, 2, 7)[0], cx=3.3, cy=3.4)
-    field, cells = thin_field(step=1 / 6, color=hash_color(5)), np.zeros((4, 4, 4), bool)
+    # Steps of 1/7 and not 1/6: half a step and one more would end at 1/4, a side of the region.
+    field, camera = thin_field(step=1 / 7, color=hash_color(5)), dome(1, 2, 7)[0]
+    cells = np.zeros((4, 4, 4), bool)
     cells[1:3, :, 2] = True
     expected = render_view(field, camera, threads=1, regions={"one": cells})
     found = GpuRenderer(field, device, "float32", rays_at_once=30).view(camera, regions={"one": cells})

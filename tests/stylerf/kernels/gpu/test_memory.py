@@ -53,5 +53,5 @@ def test_pictures_surfaces_and_ends_of_rays_come_out_alike(scarce, device):
     found = all_of_them()
     assert tried == 3 * [36, 18, 18]
     for ours, expected in zip(found, plenty):
-        np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-7)  # launches of other sizes may round differently
+        np.testing.assert_allclose(ours, expected, rtol=1e-6, atol=1e-7)  # other sizes may round differently
     assert plenty[0].any() and plenty[1].any() and plenty[4].any()
