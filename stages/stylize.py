@@ -13,7 +13,7 @@ from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_references, read_style_image
-from stages.configs.stylize import RefNprConfig, SnerfConfig, StylizeConfig
+from stages.configs.stylize import DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
@@ -32,7 +32,7 @@ from stages.stylization.settings import (
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
-from stylerf.fields.deformation import Deformation
+from stylerf.fields.deformation import FARTHEST, Deformation
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
@@ -53,7 +53,7 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
     return digests_of_files(config) | references
 
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=9, writes="field", outside=_outside)
+SPEC = Spec(stage="stylize", verb="stylize", revision=10, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 
@@ -66,6 +66,8 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     deformation = load_deformation(inputs["field"]) if config.method == "desrf" else None
     if config.method == "desrf" and deformation is None:
         raise BadInput(f"{inputs['field'].path} has no deformation to train; run `stylerf deform` on it first")
+    if isinstance(config, DesrfConfig) and deformation is not None:
+        deformation.reach = FARTHEST * config.bend
     threads = set_threads(context.threads)
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)

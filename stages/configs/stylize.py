@@ -179,17 +179,19 @@ class DesrfConfig(ArfConfig):
     """DeSRF: ARF, and a deformation of the shapes."""
 
     method: str = option("desrf", choices=METHODS, help="desrf: colors and shapes")
-    deform_rate: float = option(1.2e-2, help="learning rate of the deformation")
-    displacement_weight: float = option(
-        -1.0, help="weight of the displacement's root mean square (-1: 0.003 in captures, 0 for an object)"
-    )
+    bend: float = option(1.0, help="how far shapes bend, 0.25 to 4: at 2 twice as far as at 1")
+    deform_rate: float = advanced(2.4e-2, SHAPES, help="learning rate of the deformation")
+    displacement_weight: float = advanced(0.0, SHAPES, help="weight of the displacement's root mean square")
     displacement_vertices: int = advanced(32, SHAPES, help="vertices per side of the deformation's grid")
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not 0.25 <= self.bend <= 4:
+            raise ValueError("bend must be 0.25 to 4")
         if self.deform_rate <= 0 or not 4 <= self.displacement_vertices <= 128:
             raise ValueError("deform_rate must be > 0, displacement_vertices 4 to 128")
-        self._check_weights("displacement_weight")
+        if self.displacement_weight < 0:
+            raise ValueError("displacement_weight must be at least 0")
 
 
 @dataclass(frozen=True)

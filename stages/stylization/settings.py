@@ -38,9 +38,11 @@ DEFAULTS = {
     "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
     "gram": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
 }
-DISPLACEMENT_WEIGHT = 0.003
+# Largest change of a displacement per distance, times --bend: 1 would fold space.
+SLOPE, STEEPEST = 0.7, 0.9
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
+DEFORMED_CAPTURE = {"structure_weight": 1.0}  # edges that may not move do not bend (decision 0050)
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "structure_weight": 0.0, "coarse": 0.6}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
@@ -157,6 +159,8 @@ def settings_of(
     defaults = of_image = DEFAULTS[loss]
     if isinstance(config, DesrfConfig) and not opaque_background:
         defaults = defaults | DEFORMED_OBJECT
+    elif isinstance(config, DesrfConfig) and loss == "transport":
+        defaults = defaults | DEFORMED_CAPTURE
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:
@@ -173,9 +177,7 @@ def settings_of(
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
     if isinstance(config, DesrfConfig):
-        own["displacement_weight"] = config.displacement_weight
-        if config.displacement_weight == -1:
-            own["displacement_weight"] = DISPLACEMENT_WEIGHT if opaque_background else 0.0
+        own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
         weights = StyleWeights(

@@ -35,11 +35,11 @@ class Deformation:
 
     gamma(p) = (p, sin 2^l pi p, cos 2^l pi p for l < frequencies); three linear layers with ReLU between. D is in cube
     units: half of SCALE times the network's output, since the cube is two units of p wide, through a hyperbolic tangent
-    that bounds every coordinate by FARTHEST.
+    that bounds every coordinate by `reach`.
     """
 
-    def __init__(self, frequencies: int, width: int, values: np.ndarray) -> None:
-        self.frequencies, self.width, self.values = int(frequencies), int(width), values
+    def __init__(self, frequencies: int, width: int, values: np.ndarray, reach: float = FARTHEST) -> None:
+        self.frequencies, self.width, self.values, self.reach = int(frequencies), int(width), values, float(reach)
         if len(values) != sum((inside + 1) * outside for inside, outside in self._layers()):
             raise InvalidValue(f"deformation: {len(values)} values do not make a network of width {width}")
 
@@ -76,16 +76,18 @@ class Deformation:
             out = torch.nn.functional.linear(out, weight, bias)
             out = out.relu() if number + 1 < len(layers) else out
             at += (inside + 1) * outside
-        return FARTHEST * torch.tanh((0.5 * SCALE / FARTHEST) * out)
+        return self.reach * torch.tanh((0.5 * SCALE / self.reach) * out)
 
     def describe(self) -> dict:
-        return {"kind": "mlp", "frequencies": self.frequencies, "width": self.width}
+        return {"kind": "mlp", "frequencies": self.frequencies, "width": self.width, "reach": self.reach}
 
     @classmethod
     def restore(cls, data: dict, values: np.ndarray) -> "Deformation":
         frequencies, width = validation.integer(data, "frequencies", 0, 16), validation.integer(data, "width", 1, 1024)
         validation.one_of(data, "kind", ("mlp",))
-        return cls(frequencies, width, values)
+        # Deformations written before bends had a size have none.
+        reach = validation.number(data, "reach", 1e-3, 1.0) if "reach" in data else FARTHEST
+        return cls(frequencies, width, values, reach)
 
 
 def _layers(frequencies: int, width: int) -> list[tuple[int, int]]:
@@ -172,16 +174,3 @@ def occupancy_of_seen(field: RadianceField, rays: Rays, threads: int) -> Occupan
     found = OccupancyGrid(rest.cells, rest.highest)
     found.set_occupied(seen.ravel() & (rest.distances == 0))
     return found
-
-
-def nearest_of(chosen: np.ndarray, vertices: int) -> np.ndarray:
-    """Return, for each vertex of a [vertices]^3 grid, the position in `chosen` (flat indices) of the nearest one."""
-    from scipy.ndimage import distance_transform_edt
-
-    away = np.ones(vertices**3, np.bool_)
-    away[chosen] = False
-    number = np.zeros(vertices**3, np.int64)
-    number[chosen] = np.arange(len(chosen))
-    # The transform finds each vertex's nearest zero, which is a chosen one.
-    where = distance_transform_edt(away.reshape((vertices,) * 3), return_distances=False, return_indices=True)
-    return number[np.ravel_multi_index(tuple(where), (vertices,) * 3).ravel()]

@@ -16,7 +16,6 @@ from stylerf.fields.deformation import (
     Deformation,
     at_rest,
     displaced_occupancy,
-    nearest_of,
     occupancy_of_seen,
     seen_cells,
     vertices_of,
@@ -29,9 +28,13 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import Rendered, backward, render_rays
 from stylerf.training.common.adam import Adam, Optimizer, moments_of, restore_moments
 from stylerf.training.common.ray_dataset import over, target, unhidden
+from stylerf.training.deform.bending import Extension, folding
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
+# Weights of what keeps a bent scene whole (bending.folding) and in its place, relative to the loss's own gradient.
+FOLDING, DRIFT = 10.0, 1.0
+HIDDEN_RATE = 0.1  # relative to the last layer's
 Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 
 
@@ -39,7 +42,8 @@ class GridDeformer(ABC, Generic[Buffer]):
     """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
     The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
-    as the nearest of these. gradient_clip: of the network, see Adam. gradients: where backward() adds dL/dD.
+    as those nearby (bending.Extension). gradient_clip: of the network, see Adam. gradients: where backward() adds
+    dL/dD.
     """
 
     device = torch.device("cpu")  # of the network
@@ -68,7 +72,7 @@ class GridDeformer(ABC, Generic[Buffer]):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
         places = np.stack(np.unravel_index(active, (vertices,) * 3), -1) / (vertices - 1)
         self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32))).to(self.device)
-        self._nearest = torch.from_numpy(nearest_of(active, vertices)).to(self.device)
+        self._extension = Extension(active, vertices, self.device)
         self._pairs = [pairs.to(self.device) for pairs in _pairs(active, vertices)]
         # One array: the field's kernels read what bake() (on a GPU, collect()) writes.
         self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
@@ -108,16 +112,17 @@ class GridDeformer(ABC, Generic[Buffer]):
         """Evaluate the network and write the grid that rays read."""
         self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
         self._moved = self.deformation.network(self._encoded, self._values)
-        self._grid.copy_(self._moved.detach()[self._nearest])
+        self._grid.copy_(self._extension.spread(self._moved.detach()))
 
-    def step(self, rate: float, weight: float, smoothness: float = 0.0) -> float:
+    def step(self, rate: float, weight: float, smoothness: float = 0.0, max_slope: float = 0.0) -> float:
         """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
 
+        max_slope: displacements that change faster than this, per distance, are held back, and so is a drift of the
+        whole scene (0: neither is).
         |D|: root mean square displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
-        # Copies move as their evaluated vertex does: gradients [vertices^3, 3] add up to [evaluated, 3].
-        gradient = torch.zeros_like(self._moved).index_add_(0, self._nearest, self._gathered())
+        gradient = self._extension.gathered(self._gathered())
         self.gradients[:] = 0
         # Twice: the cube is two units wide. Without 1e-12 the root's gradient at rest, where training begins, is 0/0.
         size = (2 * self._moved).square().sum(1).mean().add(1e-12).sqrt()
@@ -125,7 +130,11 @@ class GridDeformer(ABC, Generic[Buffer]):
         loss = (self._moved * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
-        (found,) = torch.autograd.grad(loss, self._values)
+        (found,) = torch.autograd.grad(loss, self._values, retain_graph=max_slope > 0)
+        if max_slope > 0:
+            # As parts of the loss these would need a weight for each scene and style image.
+            (whole,) = torch.autograd.grad(self._moved, self._values, self._whole_gradient(max_slope))
+            found = found + found.norm() * whole
         torch.as_tensor(self.adam.gradients).view(-1).add_(found)
         self.adam.step(rate)
         self.taken += 1
@@ -134,10 +143,18 @@ class GridDeformer(ABC, Generic[Buffer]):
             self.look()
         return self._number(size.detach())
 
+    def _whole_gradient(self, max_slope: float) -> Tensor:
+        """d/dD of the penalty of slopes beyond `max_slope` and of the mean displacement, which no picture needs."""
+        m, moved = self.vertices, self._moved.detach()
+        grid = self._extension.spread(moved).requires_grad_()
+        penalty = FOLDING * folding(grid.view(m, m, m, 3), self._extension.close, max_slope)
+        # By hand through the extension: autograd adds the gradients of gathered rows one by one, in half a second.
+        gradient = self._extension.gathered(torch.autograd.grad(penalty, grid)[0])
+        return gradient + (2 * DRIFT / self.deformation.reach**2 / len(moved)) * moved.mean(0)
+
     def _variation(self) -> Tensor:
         m, moved = self.vertices, 2 * self._moved
-        # The backward of this indexing adds in no fixed order, but copies are masked out below and add exact zeros.
-        grid, total = moved[self._nearest].view(m, m, m, 3), moved.new_zeros(())
+        grid, total = self._extension.spread(moved).view(m, m, m, 3), moved.new_zeros(())
         for axis, both in enumerate(self._pairs):
             total = total + (grid.diff(dim=axis).square().sum(-1) * both).sum()
         return total / len(moved)
@@ -177,7 +194,7 @@ class Deformer(GridDeformer[np.ndarray]):
     def _prepare(self, threads: int) -> None:
         self._grid = torch.from_numpy(self.grid).view(-1, 3)
         self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, [(0, len(self.deformation.values), 1.0)], 1, self.gradient_clip)
+        self.adam = Adam(self.deformation.values, rates_of(self.deformation), 1, self.gradient_clip)
 
     def _gathered(self) -> Tensor:
         return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
@@ -198,6 +215,16 @@ class Deformer(GridDeformer[np.ndarray]):
 
 
 AnyDeformer = GridDeformer[np.ndarray] | GridDeformer[Tensor]
+
+
+def rates_of(deformation: Deformation) -> list[tuple[int, int, float]]:
+    """Return the (begin, end, factor) of the learning rate of the hidden layers and of the last.
+
+    Adam moves all weights of a unit by about the rate; at the last layer's rate a few steps in one direction would put
+    every hidden unit below zero for good, and nothing would bend any more.
+    """
+    end, last = len(deformation.values), 3 * (deformation.width + 1)
+    return [(0, end - last, HIDDEN_RATE), (end - last, end, 1.0)]
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:

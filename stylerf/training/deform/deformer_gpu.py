@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.deformation import FARTHEST, Deformation
+from stylerf.fields.deformation import Deformation
 from stylerf.fields.gpu.field import FARTHEST as FARTHEST_CELL
 from stylerf.fields.gpu.field import GpuField, distances_to
 from stylerf.fields.marching import SAMPLES_PER_RAY
@@ -19,7 +19,7 @@ from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.training.common.adam_gpu import GpuAdam
 from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.ray_dataset_gpu import unhidden
-from stylerf.training.deform.deformer import GridDeformer
+from stylerf.training.deform.deformer import GridDeformer, rates_of
 
 RAYS_AT_ONCE = 1 << 16
 MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
@@ -55,7 +55,7 @@ class GpuDeformer(GridDeformer[Tensor]):
         self._at_rest = torch.from_numpy(self.rest.distances).to(self.device)
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
-        self.adam = GpuAdam(values, [(0, len(values), 1.0)], self.gradient_clip)
+        self.adam = GpuAdam(values, rates_of(self.deformation), self.gradient_clip)
         self._sizes = self._no_sizes()
         self._brought: Tensor | None = None
 
@@ -71,7 +71,7 @@ class GpuDeformer(GridDeformer[Tensor]):
 
     def look(self) -> None:
         cells, field = self.rest.cells, self.device_field
-        reach = math.ceil(FARTHEST * cells) + 1  # no coordinate moves farther
+        reach = math.ceil(self.deformation.reach * cells) + 1  # no coordinate moves farther
         # A cell of the deformed field is occupied if its points come from near an occupied one at rest.
         occupied = displaced_cells(self._at_rest, cells, reach, self._grid.view(-1), field.vertices)
         field.distances = distances_to(occupied).flatten()

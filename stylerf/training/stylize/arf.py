@@ -210,7 +210,8 @@ class Arf(StyleMethod[ArfSettings]):
         scene.adam.step(settings.rate * decay)
         if scene.deformer is not None and isinstance(settings, DesrfSettings):
             rate = settings.deform_rate * decay * min(1.0, (step + 1) / DEFORM_RAMP)
-            parts["displacement"] = scene.deformer.step(rate, settings.displacement_weight)
+            weight, max_slope = settings.displacement_weight, settings.max_slope
+            parts["displacement"] = scene.deformer.step(rate, weight, max_slope=max_slope)
         return parts
 
     def arrays(self) -> dict[str, np.ndarray]:

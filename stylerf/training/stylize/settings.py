@@ -94,6 +94,7 @@ class DesrfSettings(ArfSettings):
     deform_rate: float = 1e-3
     displacement_weight: float = 0.5
     displacement_vertices: int = 32
+    max_slope: float = 0.0
 
     def for_style(self, strength: float) -> Self:
         # Adam's steps are as long for a weak loss: shapes would move by rounding.

@@ -38,8 +38,8 @@ def test_rays_follow_from_method_and_size_unless_requested(method, options, side
     ("method", "options", "closed", "color", "displacement", "coarse"),
     [
         ("desrf", {}, False, 1.0, 0.0, 0.6),
-        ("desrf", {}, True, 1.0, 0.003, 0.5),
-        ("desrf", {"match_by": "nearest"}, True, 10.0, 0.003, 0.0),
+        ("desrf", {}, True, 1.0, 0.0, 0.5),
+        ("desrf", {"match_by": "nearest"}, True, 10.0, 0.0, 0.0),
         ("desrf", {"displacement_weight": 0.2}, False, 1.0, 0.2, 0.6),
         ("arf", {}, False, 1.0, None, 0.5),
         ("arf", {"match_by": "nearest"}, True, 10.0, None, 0.0),

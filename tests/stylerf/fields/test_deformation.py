@@ -12,7 +12,6 @@ from stylerf.fields.deformation import (
     SCALE,
     Deformation,
     displaced_occupancy,
-    nearest_of,
     occupancy_of_seen,
     seen_cells,
     vertices_of,
@@ -83,13 +82,15 @@ def test_occupancy_follows_a_shift_by_whole_cells():
     np.testing.assert_array_equal(moved, np.roll(occupied, -2, 0))
 
 
-def test_nearest_chosen_vertex_by_brute_force():
-    vertices, random = 6, np.random.default_rng(2)
-    chosen = np.sort(random.choice(vertices**3, 9, replace=False))
-    where = np.stack(np.unravel_index(np.arange(vertices**3), (vertices,) * 3), -1)
-    squares = np.square(where[:, None] - where[chosen][None]).sum(-1)
-    found = squares[np.arange(vertices**3), nearest_of(chosen, vertices)]
-    np.testing.assert_array_equal(found, squares.min(1))
+def test_reach_bounds_displacements_and_is_kept_with_the_network():
+    made = Deformation.create(np.random.default_rng(0))
+    made.reach = 0.1
+    made.values[-3:] = 1e3  # the last biases: as far as it can
+    again = Deformation.restore(made.describe(), made.values)
+    moved = again.network(again.encode(torch.zeros(1, 3)), torch.from_numpy(again.values))
+    np.testing.assert_allclose(moved, 0.1, rtol=1e-6)
+    without = {key: value for key, value in made.describe().items() if key != "reach"}
+    assert Deformation.restore(without, made.values).reach == FARTHEST
 
 
 def expected_vertices(field, rays: Rays, vertices: int, share: float) -> set[int]:

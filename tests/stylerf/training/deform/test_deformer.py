@@ -87,7 +87,7 @@ def test_gradient_reaches_the_network_exactly(scene):
     given = random.normal(size=6**3 * 3).astype(np.float32)
     values = torch.from_numpy(deformer.deformation.values).double().requires_grad_()
     live = deformer.deformation.network(deformer._encoded.double(), values)
-    loss = (live[deformer._nearest].flatten() * torch.from_numpy(given).double()).sum()
+    loss = (deformer._extension.spread(live).flatten() * torch.from_numpy(given).double()).sum()
     loss = loss + 0.3 * (2 * live).square().sum(1).mean().sqrt()
     (wanted,) = torch.autograd.grad(loss, values)
     deformer.gradients[0] = given
@@ -95,6 +95,33 @@ def test_gradient_reaches_the_network_exactly(scene):
     deformer.adam.step = lambda rate: seen.update(found=deformer.adam.gradients[0].copy())
     deformer.step(1e-3, 0.3)
     np.testing.assert_allclose(seen["found"], wanted, rtol=1e-3, atol=1e-4)
+
+
+def test_slopes_are_held_back_however_hard_the_loss_pulls(scene):
+    """A loss that pulls both halves of the cube towards the middle, through each other."""
+    steepest = {}
+    for max_slope in (0.0, 0.4):
+        deformer = Deformer(scene(), deformation(), dome(4, 1), 24, 0, 1)
+        pull = np.zeros((24, 24, 24, 3), np.float32)
+        pull[:12, ..., 0], pull[12:, ..., 0] = -1, 1  # dL/dD: D grows against it
+        for step in range(200):
+            deformer.gradients[0] = pull.ravel()
+            deformer.step(2e-2 * 0.1 ** (step / 200), 0.0, max_slope=max_slope)
+        close = deformer._extension.close.numpy()
+        slopes = np.abs(np.diff(deformer.grid[..., 0], axis=0)) * 23
+        steepest[max_slope] = slopes[close[1:] & close[:-1]].max()
+    assert steepest[0.0] > 1.5 and 0.3 < steepest[0.4] < 0.9, steepest
+
+
+def test_a_scene_that_is_pulled_as_a_whole_stays_where_it_is(scene):
+    moved = {}
+    for max_slope in (0.0, 0.7):
+        deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1)
+        for _ in range(100):
+            deformer.gradients[0] = -1.0
+            deformer.step(1e-2, 0.0, max_slope=max_slope)
+        moved[max_slope] = float(deformer._moved.detach().mean(0).abs().max())
+    assert moved[0.0] > 0.035 and moved[0.7] < 0.02
 
 
 def test_init_finds_a_shift_between_field_and_photos(scene):
