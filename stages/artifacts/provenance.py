@@ -44,8 +44,9 @@ def field_unstylized(field: Artifact) -> Artifact | None:
 
 
 def shows_its_pictures(field: Artifact) -> bool:
-    """Return whether a field looks like the pictures it was trained on last; a stylized or recolored one does not."""
-    return field.manifest.stage not in ("stylize", "recolor")
+    """Return whether a field looks like the pictures it was trained on last; a stylized, recolored or blended one
+    does not."""
+    return field.manifest.stage not in ("stylize", "recolor", "blend")
 
 
 def original_scene(scene: Artifact) -> Artifact:

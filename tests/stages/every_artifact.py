@@ -31,11 +31,12 @@ from stages.finetune import edited_pixels
 from stylerf.editing.edit_grid import Region, solid_cells
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
-from stylerf.fields.radiance_field import ColorMap, RadianceField, layers_of
+from stylerf.fields.radiance_field import RadianceField, layers_of
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view
