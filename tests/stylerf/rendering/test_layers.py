@@ -61,7 +61,8 @@ def test_shares_of_samples_weigh_colors_as_a_slow_sum_does():
 
 def test_of_two_regions_the_later_covers_the_earlier():
     made, marked = fields(), corner()
-    layers = [layer(made[name], 1.0, where) for name, where in (("source", None), ("plain", marked), ("mapped", marked))]
+    stack = {"source": None, "plain": marked, "mapped": marked}
+    layers = [layer(made[name], 1.0, where) for name, where in stack.items()]
     found = picture(over(made["source"], *layers))
     np.testing.assert_array_equal(found, picture(over(made["source"], layers[0], layers[2])))
 
