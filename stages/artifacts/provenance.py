@@ -74,7 +74,9 @@ def edit_behind(field: Artifact) -> Artifact | None:
 
 def palette_behind(field: Artifact) -> Artifact | None:
     """Return the artifact with the palette that a field's colors are mixed from: the field, one it was made from, or
-    the local edit that it has learned; None where there is none."""
+    the local edit that it has learned; None where there is none, and for a blend, whose colors have no one palette."""
+    if field.manifest.stage == "blend":
+        return None
     own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolor"))
     return edit_behind(field) or next(own, None)
 
