@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -51,12 +52,26 @@ def srgb(views: list) -> np.ndarray:
     return np.concatenate(found)
 
 
+@pytest.fixture(scope="module")
+def styled(finished, photos, in_memory):
+    """The finished work folder with a second stylization, `other`, of its fit and a region, `left`; nobody changes it."""
+    work = shutil.copytree(finished, in_memory / "styled" / "work")
+    photo = min((photos / "train").glob("*.png"))
+    for arguments in (
+        ("stylize", work, "--style", photo, *STYLIZE, "--of", "fit", "--name", "other"),
+        ("select", work, "--of", "fit", "--box", "-9", "-9", "-9", "-0.25", "9", "9", "--name", "left"),
+    ):
+        assert main([*map(str, arguments), "--quiet"]) == 0
+    yield work
+    shutil.rmtree(work.parent)
+
+
 @pytest.fixture
-def styles(work, photos, capsys):
-    """The work folder with a second stylization, `other`, of its fit and a region."""
-    said(capsys, "stylize", work, "--style", photos / "images" / "000.png", *STYLIZE, "--of", "fit", "--name", "other")
-    said(capsys, "select", work, "--of", "fit", "--box", "-9", "-9", "-9", "0", "9", "9", "--name", "left")
-    return work
+def styles(styled, in_memory):
+    """A copy of it."""
+    folder = Path(tempfile.mkdtemp(dir=in_memory))
+    yield shutil.copytree(styled, folder / "work")
+    shutil.rmtree(folder)
 
 
 def test_encoding_of_this_test_is_the_inverse_of_linearizing():
@@ -182,7 +197,7 @@ def test_a_blend_is_not_trained_further(styles, capsys):
     said(capsys, "blend", styles, "--of", "painting-arf=0.5", "--name", "half")
     photo = styles / "field" / "painting-arf" / "style.png"
     assert "colors that no photo shows" in refused(capsys, 2, "stylize", styles, "--of", "half", "--style", photo)
-    options = ("--of", "half", "--box", "-9", "-9", "-9", "0", "9", "9", "--palette", "all=#00ff00")
+    options = ("--of", "half", "--box", "-9", "-9", "-9", "-0.25", "9", "9", "--palette", "all=#00ff00")
     assert "whose colors cannot learn" in refused(capsys, 2, "edit", styles, *options)
 
 
