@@ -54,7 +54,7 @@ def srgb(views: list) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def styled(finished, photos, in_memory):
-    """The finished work folder with a second stylization, `other`, of its fit and a region, `left`; nobody changes it."""
+    """The finished work folder with a second stylization, `other`, and a region, `left`; nobody changes it."""
     work = shutil.copytree(finished, in_memory / "styled" / "work")
     photo = min((photos / "train").glob("*.png"))
     for arguments in (
