@@ -116,8 +116,9 @@ def test_a_blend_is_a_field_like_any_other(styles, capsys):
     np.testing.assert_allclose(found, 0.4 * first + 0.6 * second, atol=4e-3)
     for view, same in zip(fields[2], fields[0], strict=True):
         np.testing.assert_array_equal(view.alpha, same.alpha)
-    report = said(capsys, "eval", work, "--of", made["name"], "--perceptual", "none")
-    assert report["figures"]["psnr"] > 5
+    said(capsys, "eval", work, "--of", made["name"], "--perceptual", "none")
+    measured = {ref.role: ref.name for ref in WorkFolder(work).get("report", made["name"]).manifest.inputs}
+    assert measured["frames"] == f"{made['name']}-test" and measured["base_frames"] == "fit-test"
     assert "style.0" in str(said(capsys, "show", work / "field" / made["name"])["inputs"])
     said(capsys, "verify", work / "field" / made["name"])
     again = said(capsys, "blend", work, "--of", f"{made['name']}=0.5", "--name", "half")
@@ -197,7 +198,7 @@ def test_a_blend_is_not_trained_further(styles, capsys):
     said(capsys, "blend", styles, "--of", "painting-arf=0.5", "--name", "half")
     photo = styles / "field" / "painting-arf" / "style.png"
     assert "colors that no photo shows" in refused(capsys, 2, "stylize", styles, "--of", "half", "--style", photo)
-    options = ("--of", "half", "--box", "-9", "-9", "-9", "-0.25", "9", "9", "--palette", "all=#00ff00")
+    options = ("--of", "half", "--box", "-9", "-9", "-9", "-0.25", "9", "9", "--recolor", "--palette", "all=#00ff00")
     assert "whose colors cannot learn" in refused(capsys, 2, "edit", styles, *options)
 
 
