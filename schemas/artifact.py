@@ -33,6 +33,7 @@ VERB_OF: dict[str, str] = {
     "stylize": "stylize",
     "decompose": "stylize",
     "recolor": "stylize",
+    "blend": "blend",
     "region_select": "select",
     "edit_dataset": "extract",
     "edit_learn": "stylize",

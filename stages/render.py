@@ -30,6 +30,8 @@ from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
+from stylerf.errors import InvalidValue
+from stylerf.fields.blending import at_strength
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.camera_paths import PATHS, path_camera
 from stylerf.geometry.cameras import Camera
@@ -50,7 +52,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     Frames on disk, from an interrupted run or a shard in the work folder, are not rendered again.
     """
     scene = load_scene(inputs["scene"])
-    field, background = load_field(inputs["field"])
+    field, background = _field_at_strength(inputs, config.strength)
     threads = set_threads(context.threads)
     shots = shots_of(scene, config)
     if config.path not in (*OWN_VIEWS, *PATHS):
@@ -69,6 +71,8 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest}
     along = Path(config.path).name if context.no_paths else config.path
     attributes["path"] = along
+    if config.strength != 1:
+        attributes["strength"] = f"{config.strength:g}"
     attributes |= {CHANNEL + channels[name]: f"{name} {regions[name].digest}" for name in channels}
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
@@ -117,6 +121,20 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in reused)),
         "video": _video(partial.path, [f.png for f in listed], config, context) if config.video else None,
     } | gpu_figures(device)
+
+
+def _field_at_strength(inputs: Mapping[str, Artifact], strength: float) -> tuple[RadianceField, str]:
+    """Return the field to render, between its source and itself, and its background."""
+    field, background = load_field(inputs["field"])
+    if "source" not in inputs:
+        return field, background
+    source, _ = load_field(inputs["source"])
+    try:
+        return at_strength(source, field, strength), background
+    except InvalidValue as error:
+        raise BadInput(
+            f"--strength {strength:g} of {inputs['field'].path} from {inputs['source'].name}: {error}"
+        ) from error
 
 
 def _gpu_renderer(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:

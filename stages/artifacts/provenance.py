@@ -44,8 +44,9 @@ def field_unstylized(field: Artifact) -> Artifact | None:
 
 
 def shows_its_pictures(field: Artifact) -> bool:
-    """Return whether a field looks like the pictures it was trained on last; a stylized or recolored one does not."""
-    return field.manifest.stage not in ("stylize", "recolor")
+    """Return whether a field looks like the pictures it was trained on last; a stylized, recolored or blended one
+    does not."""
+    return field.manifest.stage not in ("stylize", "recolor", "blend")
 
 
 def original_scene(scene: Artifact) -> Artifact:
@@ -73,7 +74,9 @@ def edit_behind(field: Artifact) -> Artifact | None:
 
 def palette_behind(field: Artifact) -> Artifact | None:
     """Return the artifact with the palette that a field's colors are mixed from: the field, one it was made from, or
-    the local edit that it has learned; None where there is none."""
+    the local edit that it has learned; None where there is none, and for a blend, whose colors have no one palette."""
+    if field.manifest.stage == "blend":
+        return None
     own = (one for one in [field, *fields_behind(field)] if one.manifest.stage in ("decompose", "recolor"))
     return edit_behind(field) or next(own, None)
 

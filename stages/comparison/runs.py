@@ -128,7 +128,7 @@ def thread_mismatches(runs: Sequence[Run]) -> list[Gap]:
 def family_of(artifact: Artifact) -> str | None:
     """The family of a field; None for one that only prepares another (a deformation, or a palette fitted to photos)."""
     stage = artifact.manifest.stage
-    if stage in ("finetune", "recolor"):
+    if stage in ("finetune", "recolor") or (stage == "blend" and not is_stylized(artifact)):
         return EDITS
     if stage in ("deform_init", "decompose"):
         return None

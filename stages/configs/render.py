@@ -25,6 +25,9 @@ class RenderConfig:
     count: int = option(60, help="number of frames of an orbit, spiral or interpolated path")
     frames: str = option("", metavar="A-B", help="render only frames A to B of the path, counted from 0: a shard")
     scale: float = option(1.0, help="image size relative to the scene's views")
+    strength: float = option(
+        1.0, metavar="S", help="how stylized: 0 is the field that it was made from, 1 the field itself"
+    )
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
     regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
     masks: bool = advanced(False, help="also write the regions as PNG, masks/<name>/NNNN.png")
@@ -37,6 +40,8 @@ class RenderConfig:
         frames_of(self.frames, 1 << 30)
         if self.count < 1 or not 0 < self.scale <= 8 or not SLOWEST_FPS <= self.fps <= 240:
             raise ValueError("count must be at least 1, scale in (0, 8] and fps in [1/1001, 240]")
+        if not 0 <= self.strength <= 1:
+            raise ValueError(f"strength must be 0 to 1, not {self.strength:g}")
         if self.masks and not self.regions:
             raise ValueError("masks are pictures of the regions, which no-regions leaves out")
 

@@ -140,7 +140,7 @@ def newest_video(work: WorkFolder, field: Artifact) -> Artifact | None:
 
 
 def _measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, int]]:
-    """Return frames of the present field with their path and count: whole paths at full size, with EXR.
+    """Return frames of the present field with their path and count: whole paths at full size and strength, with EXR.
 
     Frames of another revision of the render stage are left out.
     """
@@ -151,7 +151,8 @@ def _measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, 
         if _fault_of(one):
             continue
         config = one.manifest.config
-        whole = config.get("exr", True) and config.get("scale", 1) == 1 and not config.get("frames")
+        full = config.get("scale", 1) == 1 and config.get("strength", 1) == 1
+        whole = full and config.get("exr", True) and not config.get("frames")
         current = (one.manifest.stage, one.manifest.revision) == (SPEC.stage, SPEC.revision)
         if whole and current and _shows(one, field) and one.has(FRAMES_FILE):
             frames = read_frames(one.path)

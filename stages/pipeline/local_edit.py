@@ -151,7 +151,8 @@ def finetuned(
         scene: the photos with the edit, made if None.
 
     Raises:
-        UsageError: the edit was painted into pictures of another field, whose looks training would bring back.
+        UsageError: the edit was painted into pictures of another field, whose looks training would bring back; or the
+            field is a blend.
     """
     from stages import finetune
 
@@ -159,12 +160,20 @@ def finetuned(
     extracted = input_of(work, dataset, "field", "field")
     if field and field.digest != extracted.digest:
         _refuse_other_pictures(work, field, extracted, dataset)
+    _refuse_blend(field or extracted)
     inputs = {
         "scene": scene or distilled(runner, edit),
         "field": field or extracted,
         "region": input_of(work, dataset, "region"),
     }
     return runner.run(finetune.SPEC, finetune.run, inputs, config, edit.name, request)
+
+
+def _refuse_blend(field: Artifact) -> None:
+    if field.manifest.stage == "blend":
+        raise UsageError(
+            f"field {field.name} is a blend, whose colors cannot learn; edit the fields that it mixes, and blend those"
+        )
 
 
 def _refuse_other_pictures(work: WorkFolder, field: Artifact, extracted: Artifact, dataset: Artifact) -> None:
@@ -264,6 +273,7 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     masks_of(config.selection)
     selected_in = field_named(runner, field_name) if field_name else None
     start = selected_in or ensure_field(runner, scene_of_work(runner.work))
+    _refuse_blend(start)
     for kind in ("region", "edit-dataset", "edit", "scene", "field"):
         refuse_to_replace(runner.work, kind, name, [start])
     options = runner.options

@@ -18,6 +18,7 @@ from typing import Any
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.scene import read_scene
 from schemas.work_folder import Artifact, WorkFolder
+from stages.configs.blend import BlendConfig
 from stages.configs.decompose import PaletteFieldConfig
 from stages.configs.deform import DeformConfig
 from stages.configs.demo import DemoConfig
@@ -29,7 +30,7 @@ from stages.configs.render import RenderConfig, label_of
 from stages.configs.select import SelectConfig
 from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
-from stages.pipeline import evaluation, local_edit, prerequisites, stylization
+from stages.pipeline import blending, evaluation, local_edit, prerequisites, stylization
 from stages.pipeline.demo import Demo, run_demo
 from stages.pipeline.resources import claim, usable_threads
 from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageOptions, StageRunner
@@ -176,6 +177,10 @@ class Pipeline:
         """Decompose a field's colors into a palette, or change the palette it has; return the new field."""
         return stylization.palette_field(self._runner, config, _name(of), Request(name, force))
 
+    def blend(self, config: BlendConfig, *, name: str = "", force: bool = False) -> Artifact:
+        """Mix fields made from one field, by weight or by region; return the new field."""
+        return blending.blended(self._runner, config, Request(name, force))
+
     def select(self, config: SelectConfig, *, of: Field = "", name: str = "", force: bool = False) -> Artifact:
         """Select a region in a field (by default the fitted one); return the region."""
         return local_edit.selected(self._runner, config, self._named(of), "region", Request(name, force))
@@ -229,8 +234,10 @@ class Pipeline:
 
         field = prerequisites.field_named(self._runner, _name(of))
         config = pinned(config or RenderConfig())
-        default = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
-        return prerequisites.rendered(self._runner, field, config, default, Request(name, force))
+        strength = "" if config.strength == 1 else f"-strength-{config.strength:g}"
+        default = f"{field.name}-{label_of(config.path)}{strength}" + (f"-{config.frames}" if config.frames else "")
+        source = None if config.strength == 1 else blending.source_of(self.work, field, "--strength")
+        return prerequisites.rendered(self._runner, field, config, default, Request(name, force), source)
 
     def evaluate(
         self,

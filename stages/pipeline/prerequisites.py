@@ -134,24 +134,36 @@ def ensure_frames(runner: StageRunner, field: Artifact, path: str, name: str) ->
 def frames_config(runner: StageRunner, path: str) -> RenderConfig:
     """Return the options of frames that are rendered as a prerequisite.
 
-    They are the options set for `render`, but for the whole path, at full size, with EXR, and without a video of the
-    scene's own views. The default is 30 frames.
+    They are the options set for `render`, but for the whole path, at full size and strength, with EXR, and without a
+    video of the scene's own views. The default is 30 frames.
     """
     from stages.render import pinned
 
     config = runner.options.config_of("render", RenderConfig)
     count = runner.options.table("render").get("count", 30)
     video = config.video and path not in OWN_VIEWS
-    return pinned(replace(config, path=path, count=count, scale=1.0, frames="", exr=True, video=video))
+    return pinned(replace(config, path=path, count=count, scale=1.0, strength=1.0, frames="", exr=True, video=video))
 
 
 def rendered(
-    runner: StageRunner, field: Artifact, config: RenderConfig, name: str, request: Request | None
+    runner: StageRunner,
+    field: Artifact,
+    config: RenderConfig,
+    name: str,
+    request: Request | None,
+    source: Artifact | None = None,
 ) -> Artifact:
-    """Render a field. `config` holds the digest of its camera file (`stages.render.pinned`)."""
+    """Render a field.
+
+    Args:
+        config: holds the digest of its camera file (`stages.render.pinned`).
+        source: the field that it was made from, for a strength below 1.
+    """
     from stages import render
 
     inputs = {"scene": scene_of(runner.work, field), "field": field, **_regions_shown(runner, field, config)}
+    if source is not None:
+        inputs["source"] = source
     return runner.run(render.SPEC, render.run, inputs, config, name, request, by=("--of", field.name))
 
 

@@ -6,7 +6,8 @@ Conventions:
                 of threads.
     positions   x [n, 3] float32 in the unit cube, after displacement.
     state       `values` and describe() are all the state there is: restore() of the two is the same part, to the bit.
-                A region's color (fields/region_color.py) has further arrays, which the field saves.
+                A region's color (fields/region_color.py) and a blend (fields/blended_color.py) hold other parts and
+                further arrays, which the field saves.
 
 The parts on a GPU (fields/gpu) are apart: tensors instead of arrays, directions instead of a basis, and colors chosen
 by a threshold relative to each ray's largest weight (`visible_colors`).
@@ -133,4 +134,4 @@ class ColorPart(Part, Protocol):
 
 
 class RestorableColor(ColorPart, Restorable, Protocol):
-    """Every color but a region's, which has further arrays."""
+    """Every color but a region's and a blend, which have further arrays."""

@@ -1,12 +1,13 @@
 """A radiance field: a density part and a color part in a warped space, and the occupancy grid that guides rays."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
+from stylerf.fields.blended_color import MOST_LAYERS, BlendedColor, Layer
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_grid import HashColor, HashDensity
 from stylerf.fields.marching import MarchInputs, ScratchArena, displacement_arrays, occupancy_arrays, space_arrays
@@ -19,9 +20,6 @@ from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import MarchSettings, Rays, Samples
 
-if TYPE_CHECKING:  # torch takes more than a second to import, and most fields are rendered without it
-    from torch import Tensor
-
 DENSITY_KINDS: dict[str, type[DensityPart]] = {"vm": VmDensity, "hash": HashDensity, "voxel": VoxelDensity}
 COLOR_KINDS: dict[str, type[RestorableColor]] = {
     "vm": VmColor,
@@ -31,33 +29,7 @@ COLOR_KINDS: dict[str, type[RestorableColor]] = {
 }
 MIN_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
 MOST_REGIONS = 100  # nested over one another
-
-
-@dataclass(frozen=True)
-class ColorMap:
-    """x' = matrix x + offset on sRGB colors of rendered pixels; matrix [3, 3], offset [3]."""
-
-    matrix: "Tensor"
-    offset: "Tensor"
-
-    def __call__(self, colors: "Tensor") -> "Tensor":
-        """Colors [..., 3] mapped, not clamped."""
-        return colors @ self.matrix.T.to(colors) + self.offset.to(colors)
-
-    def image(self, image: "Tensor") -> "Tensor":
-        """The same on an image [3, h, w], clamped to [0, 1]."""
-        return self(image.movedim(0, -1)).clamp(0, 1).movedim(-1, 0).contiguous()
-
-    def after(self, first: "ColorMap") -> "ColorMap":
-        """The single map that does `first`, then this one."""
-        return ColorMap(self.matrix @ first.matrix, self.matrix @ first.offset + self.offset)
-
-    def premultiplied(self, colors: "Tensor", alpha: "Tensor") -> "Tensor":
-        """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
-        return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
-
-    def describe(self) -> dict:
-        return {"matrix": self.matrix.tolist(), "offset": self.offset.tolist()}
+MOST_BLENDS = 8  # nested in one another
 
 
 @dataclass
@@ -152,17 +124,19 @@ class RadianceField:
         return RadianceField(
             SpaceWarp.restore(validation.entry(data, "space")),
             kind.restore(density, _values(arrays, "density")),
-            _color(validation.entry(data, "color"), arrays, "color"),
+            _any_color(validation.entry(data, "color"), arrays, "color"),
             OccupancyGrid.restore(validation.integer(data, "cells", 1, MAX_CELLS), arrays),
             validation.number(data, "step", MIN_STEP, 1.0),
             _displacement(arrays),
-            _color_map(data.get("color_map")),
+            ColorMap.restore(data.get("color_map")),
             validation.number({"share": 1e-3} | data, "share", 0.0, 1.0),
         )
 
 
 def layers_of(color: ColorPart) -> list[ColorPart]:
-    """Return a color part followed by the parts under it, if it is a region's color over another."""
+    """Return a color part followed by the parts under it, if it is a region's color over another; those of a blend."""
+    if isinstance(color, BlendedColor):
+        return [part for layer in color.simple for part in layers_of(layer.color)]
     return [color, *layers_of(color.base)] if isinstance(color, RegionColor) else [color]
 
 
@@ -171,6 +145,11 @@ def _color_arrays(color: ColorPart, name: str) -> dict[str, np.ndarray]:
     if isinstance(color, RegionColor):
         arrays |= {f"{name}.marked": np.packbits(color.marked.reshape(-1))}
         arrays |= _color_arrays(color.base, f"{name}.base")
+    if isinstance(color, BlendedColor):
+        for number, layer in enumerate(color.layers):
+            arrays |= _color_arrays(layer.color, f"{name}.{number}")
+            if layer.within is not None:
+                arrays[f"{name}.{number}.within"] = np.packbits(layer.within.reshape(-1))
     return arrays
 
 
@@ -179,8 +158,29 @@ def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
     return validation.array(arrays, name, np.float32, (None,), validation.LEARNED)
 
 
+def _any_color(data: dict, arrays: dict[str, np.ndarray], name: str, blends: int = MOST_BLENDS) -> ColorPart:
+    """Rebuild a color of describe() and _color_arrays(). blends: how many may still be nested."""
+    if not (blends and isinstance(data, dict) and data.get("kind") == BlendedColor.kind):
+        return _color(data, arrays, name)
+    layers = validation.entry(data, "layers", list)
+    if len(layers) > MOST_LAYERS:
+        raise InvalidValue(f"a blend has {len(layers)} layers, and {MOST_LAYERS} are the most")
+    return BlendedColor([_layer(one, arrays, f"{name}.{number}", blends - 1) for number, one in enumerate(layers)])
+
+
+def _layer(data: dict, arrays: dict[str, np.ndarray], name: str, blends: int) -> Layer:
+    cells = validation.integer(data, "cells", 0, MAX_CELLS)
+    return Layer(
+        _any_color(validation.entry(data, "color"), arrays, name, blends),
+        ColorMap.restore(validation.entry(data, "color_map")),
+        validation.number(data, "share", 0.0, 1.0),
+        validation.number(data, "weight", 0.0, 1.0),
+        validation.bits(arrays, f"{name}.within", cells) if cells else None,
+    )
+
+
 def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = MOST_REGIONS) -> ColorPart:
-    """Rebuild a color of describe() and _color_arrays(). regions: how many may still be nested."""
+    """Rebuild a color that is no blend. regions: how many may still be nested."""
     kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if regions else [])])
     if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))
@@ -196,13 +196,3 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
     if side < 2:
         raise InvalidValue("the array displacement has no cells")
     return validation.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # the whole cube
-
-
-def _color_map(data: dict | None) -> ColorMap | None:
-    if data is None:
-        return None
-    import torch
-
-    return ColorMap(
-        torch.tensor(validation.rows(data, "matrix", 3, 3)), torch.tensor(validation.numbers(data, "offset", 3))
-    )

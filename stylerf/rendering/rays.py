@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.blended_color import BlendedColor
 from stylerf.fields.deformation import displacement_gradient, position_gradients
 from stylerf.fields.marching import SAMPLES_PER_RAY, ScratchArena, empty_array
 from stylerf.fields.radiance_field import RadianceField
@@ -18,6 +19,7 @@ from stylerf.kernels.cpu.compositing import (
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.regions import weights_inside, zero_outside
+from stylerf.rendering.layers import composite_layers, mapped
 
 
 @dataclass
@@ -29,7 +31,8 @@ class Rendered:
         unmapped: out before the field's color map.
         rays, samples: what was marched.
         basis: [rays, bands], spherical harmonics of the directions.
-        colors: [n, 3] of the samples; -1 in the first channel where a sample has none.
+        colors: [n, 3] of the samples; -1 in the first channel where a sample has none; [0, 3] of a blend, which
+            cannot learn.
         arena: where the samples' memory came from, and the gradients' comes from.
     """
 
@@ -56,7 +59,8 @@ def render_rays(
     Args:
         threads: partitions of the rays; the result is the same to the bit for the same number.
         min_transmittance: a ray ends once its transmittance falls below this.
-        weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color.
+        weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color; the layers
+            of a blend have their own.
         arena: memory of samples and colors, valid until its reset; None: new memory.
 
     Returns:
@@ -64,19 +68,16 @@ def render_rays(
     """
     samples = field.march(rays, SAMPLES_PER_RAY, min_transmittance, threads, arena)
     basis = harmonics(rays.directions, getattr(field.color, "degree", 0))
-    visible = empty_array(samples.weights.shape, arena)
-    visible_weights(samples, np.float32(weight_threshold), threads, visible)
-    colors = field.color.colors(samples.shading_points(visible), basis, threads, arena)
-    unmapped = np.empty((len(rays.origins), 5), np.float32)
-    composite(samples, colors, threads, unmapped)
-    out = unmapped
-    if field.color_map is not None:
-        import torch  # takes more than a second, which fields without a color map need not wait for
-
-        # Premultiplied colors lie in 0..alpha.
-        mapped = field.color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
-        out = np.concatenate([np.clip(mapped.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)
-    return Rendered(out, unmapped, rays, samples, basis, colors, arena)
+    if isinstance(field.color, BlendedColor):
+        unmapped = composite_layers(field.color, samples, rays.directions, threads, arena)
+        colors = np.empty((0, 3), np.float32)  # each layer has its own
+    else:
+        visible = empty_array(samples.weights.shape, arena)
+        visible_weights(samples, np.float32(weight_threshold), threads, visible)
+        colors = field.color.colors(samples.shading_points(visible), basis, threads, arena)
+        unmapped = np.empty((len(rays.origins), 5), np.float32)
+        composite(samples, colors, threads, unmapped)
+    return Rendered(mapped(unmapped, field.color_map), unmapped, rays, samples, basis, colors, arena)
 
 
 def with_surface_distance(rendered: Rendered, threads: int) -> np.ndarray:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.radiance_field import ColorMap
+from stylerf.fields.color_map import ColorMap
 from stylerf.srgb import LUMA
 
 VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)

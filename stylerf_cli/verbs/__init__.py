@@ -13,6 +13,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "fit": ("stylerf_cli.verbs.fit", "fit a radiance field to the photos"),
     "deform": ("stylerf_cli.verbs.deform", "give a field a deformation, so that stylization can bend shapes"),
     "stylize": ("stylerf_cli.verbs.stylize", "stylize a scene or a region, or change its palette"),
+    "blend": ("stylerf_cli.verbs.blend", "mix stylizations of one field, by weight or by region"),
     "select": ("stylerf_cli.verbs.select", "select a region in 3D by pixels, masks, a box or a color"),
     "extract": ("stylerf_cli.verbs.extract", "render what the views show of a region, for its edit"),
     "distill": ("stylerf_cli.verbs.distill", "paint an edit into the training photos"),

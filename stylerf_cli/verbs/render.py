@@ -23,7 +23,8 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     rate = figures["pixels"] / max(frames.manifest.seconds, 1e-9)
     speed = f", {rate / 1e3:.0f} thousand rays per second" if rate else ""
     field = next(ref.name for ref in inputs if ref.role == "field")
-    words = [f"{figures['frames']} frames of {field}{speed}", f"  {frames.path}"]
+    strength = "" if session.config.strength == 1 else f" at strength {session.config.strength:g}"
+    words = [f"{figures['frames']} frames of {field}{strength}{speed}", f"  {frames.path}"]
     if figures["video"]:
         words.insert(1, f"  video: {frames.path / figures['video']}")
     if regions := [ref.name for ref in inputs if ref.kind == "region"]:

@@ -31,11 +31,13 @@ from stages.finetune import edited_pixels
 from stylerf.editing.edit_grid import Region, solid_cells
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.blended_color import BlendedColor, Layer
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.hash_encoding import HashEncoding
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
-from stylerf.fields.radiance_field import ColorMap, RadianceField, layers_of
+from stylerf.fields.radiance_field import RadianceField, layers_of
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import render_view
@@ -107,6 +109,7 @@ def _fields() -> dict[str, RadianceField]:
         "hash linear": small.field_of(box, 8, small.headed(9, "hash", "linear")),
         "palette": small.field_of(box, 10, _palette(box)),
         "patch": small.field_of(box, 11, _patch()),
+        "blend": small.field_of(box, 21, _blend()),
         "deformed": small.field_of(box, 12, displacement=small.displacement_grid(13)),
     }
     made["hash"].density, made["voxel"].density = small.hash_density(14), small.voxel_density(15)
@@ -121,6 +124,14 @@ def _palette(space) -> PaletteColor:
     within = SpaceFilter(space, ((0.0, 0.1, 0.2),), 0.5)
     changes = PaletteEdits({0: (0.9, 0.1, 0.1)}, {1: 2.0}, {2: 0.1})
     return color.edited(Recoloring(changes, 0.5, 2.0, within)).edited(Recoloring(PaletteEdits({3: (0, 0, 1.0)})))
+
+
+def _blend() -> BlendedColor:
+    plain, marked = small.hash_color(22), np.zeros((CELLS,) * 3, bool)
+    marked[:4] = True
+    inner = BlendedColor([Layer(plain, None, 0.01, 1.0), Layer(_patch(), None, 0.02, 0.5, ~marked)])
+    mapped = Layer(small.vm_color(23), ColorMap(torch.eye(3), torch.zeros(3)), 0.3, 0.25)
+    return BlendedColor([Layer(inner, None, 0.01, 0.75), mapped, Layer(plain, None, 0.01, 0.8, marked)])
 
 
 def _patch() -> RegionColor:

@@ -10,6 +10,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.blended_color import BlendedColor
+from stylerf.fields.gpu.blended_color import GpuBlendedColor
 from stylerf.fields.gpu.parts import COLOR_KINDS, DENSITY_KINDS, GpuPart
 from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.occupancy_grid import DENSEST, MARK, OPAQUE_STEP, UNSEEN
@@ -58,7 +60,11 @@ class GpuField:
         self.device = torch.device(device)
         self.space = field.space
         self.density = DENSITY_KINDS[field.density.kind](field.density, self.device, half)
-        self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
+        self.blend: GpuBlendedColor | None = None
+        if isinstance(field.color, BlendedColor):  # renders, but does not learn
+            self.blend = GpuBlendedColor(field.color, self.device, half)
+        else:
+            self.color = COLOR_KINDS[field.color.kind](field.color, self.device, half)
         self.cells, self.step = field.occupancy.cells, field.step
         self.weight_threshold, self.opaque_background = field.weight_threshold, field.opaque_background
         self.distances = torch.from_numpy(field.occupancy.distances).to(self.device, copy=True)
@@ -99,8 +105,12 @@ class GpuField:
     ) -> GpuRendered:
         """Render rays as render_rays() in rendering/rays.py does; capacity: as march() takes it."""
         samples = self.march(rays, samples_per_ray, min_transmittance, capacity)
-        colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
-        unmapped = launch.composite(samples, colors)
+        if self.blend is None:
+            colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
+            unmapped = launch.composite(samples, colors)
+        else:
+            colors = torch.empty((0, 3), device=self.device)  # each layer has its own
+            unmapped = self.blend.composited(samples, rays.directions)
         out = unmapped
         if self.color_map is not None:
             matrix, offset = self.color_map

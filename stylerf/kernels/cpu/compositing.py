@@ -42,6 +42,50 @@ def composite(samples, colors, threads, out):
 
 
 @parallel_kernel
+def keep_shared(weights, shares, starts, ends, threads, out):
+    """out[k] = weights[k] where shares[k] > 0, else 0: the samples that a layer of a blend has to color."""
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            for k in range(starts[r], ends[r]):
+                out[k] = weights[k] if shares[k] > _ZERO else _ZERO
+
+
+@parallel_kernel
+def composite_share(samples, visible, colors, shares, threads, out):
+    """Composite a layer of a blend to out[r] = (sum w s c (3), sum w s, sum w t), s = shares[k] in 0..1.
+
+    Samples that are not visible (visible[k] = 0) take the ray's mean of s c and of s. With s = 1 everywhere the result
+    is that of composite(), to the bit.
+    """
+    starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            red, green, blue, depth = _ZERO, _ZERO, _ZERO, _ZERO
+            total, seen, own = _ZERO, _ZERO, _ZERO
+            for k in range(starts[r], ends[r]):
+                total += weights[k]
+                if deltas[k] > _ZERO:
+                    depth += weights[k] * t[k]
+                if visible[k] > _ZERO:
+                    seen += weights[k]
+                    if shares[k] > _ZERO:
+                        w = weights[k] * shares[k]
+                        own += w
+                        red += w * colors[k, 0]
+                        green += w * colors[k, 1]
+                        blue += w * colors[k, 2]
+            scale = total / seen if seen > _ZERO else _ZERO
+            out[r, 0] = red * scale
+            out[r, 1] = green * scale
+            out[r, 2] = blue * scale
+            # own / seen is exactly 1 where the layer is alone.
+            out[r, 3] = total * (own / seen) if seen > _ZERO else _ZERO
+            out[r, 4] = depth
+
+
+@parallel_kernel
 def surface_distance(samples, threads, out):
     """Set out[r, 4] to the distance of the surface that ray r shows, given out[r, 3] = sum w; 0 without weight.
 

@@ -98,6 +98,31 @@ def zero_outside(marked, cells, samples, threads, values):
                     values[k] = _ZERO
 
 
+# -- shares of blended colors ------------------------------------------------------------------------------------------
+
+
+@parallel_kernel
+def fill(value, points, threads, out):
+    """out[k] = value for all points on rays."""
+    starts, ends = points.starts, points.ends
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            for k in range(starts[r], ends[r]):
+                out[k] = value
+
+
+@parallel_kernel
+def weigh_cells(shares, marked, cells, inside, outside, points, threads, out):
+    """out[k] = shares[k] times `inside` in marked cells [cells^3] bool, times `outside` elsewhere; may be in place."""
+    starts, ends, x = points.starts, points.ends, points.x
+    n = len(ends)
+    for thread in prange(threads):
+        for r in range(thread * n // threads, (thread + 1) * n // threads):
+            for k in range(starts[r], ends[r]):
+                out[k] = shares[k] * (inside if marked[cell_of(x, k, cells)] else outside)
+
+
 # -- a region's own colors ---------------------------------------------------------------------------------------------
 
 

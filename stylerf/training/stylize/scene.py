@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation, at_rest
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
-from stylerf.fields.radiance_field import ColorMap, RadianceField
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID

@@ -6,8 +6,9 @@ import torch
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.occupancy_grid import OccupancyGrid
-from stylerf.fields.radiance_field import ColorMap, RadianceField
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import position_gradients
-from stylerf.fields.radiance_field import ColorMap, RadianceField
+from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.rays import alpha_inside, backward, render_rays
 from tests.stylerf.small import (
     SPACES,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.fields.radiance_field import ColorMap
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.region_color import RegionColor
 from stylerf.training.backends import finetune_engine
 from stylerf.training.finetune.engine import FineTuneSettings
