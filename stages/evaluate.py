@@ -29,11 +29,13 @@ from stages.evaluation.region_masks import masks_digest
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import (
     ViewRow,
+    measure_colors,
     measure_content,
     measure_fit,
     measure_palette,
     measure_see_through,
     measure_shape,
+    measure_speckle,
     measure_style,
     nonfinite_message,
 )
@@ -54,7 +56,7 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
     if style is not None:
         read_image(style)
     styled = style_file(config, field) is not None
-    networks = available_networks(config.perceptual != "none", styled, config.features)
+    networks = available_networks(config.perceptual != "none", styled, config.features, field)
     digests: dict[str, Any] = digests_of_files(config)
     return replace(config, **digests, networks=networks, features=config.features if styled else "")
 
@@ -70,10 +72,12 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=7, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=8, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
-    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "content_ssim"
+    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "color_distribution",
+    "speckle",
 )  # fmt: skip
+CONTENT_KEYS = ("content_ssim", "edges_kept")
 
 
 def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -160,7 +164,7 @@ class Evaluation:
                 measure_see_through(row, render, previous)
             previous = render
             self.rows.append(row.row())
-            leading = self.rows[-1].get("nnfm" if self.stylized else "psnr")
+            leading = self.rows[-1].get("sifid" if self.stylized else "psnr")
             progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylized else f"{leading:.2f} dB")
         progress.finish()
         if self.edit is not None:
@@ -178,22 +182,22 @@ class Evaluation:
     def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
         if render.nonfinite:
-            row.skip(STYLE_KEYS if self.perceptual.style_image else STYLE_KEYS[-1:], nonfinite_message(render))
+            row.skip((*(STYLE_KEYS if self.perceptual.style_image else ()), *CONTENT_KEYS), nonfinite_message(render))
         else:
-            self._measure_style(row, render.image, render.alpha)
+            self._measure_style(row, render.image, render.alpha, photo)
             if photo is not None:
                 measure_content(row, render.image, photo)
         if base is not None:
             measure_shape(row, render, base)
         base_row = ViewRow(render.name)
         if base is not None and not base.nonfinite:
-            self._measure_style(base_row, base.image, base.alpha)
+            self._measure_style(base_row, base.image, base.alpha, photo)
             if photo is not None and base.image.shape == photo.image.shape:
                 measure_content(base_row, base.image, photo)
         elif base is None and photo is not None:
             mask = photo.mask if photo.visible is None else photo.visible
             mask = np.ones(photo.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
-            self._measure_style(base_row, photo.image, mask)
+            self._measure_style(base_row, photo.image, mask, photo)
         self.base_rows.append(base_row.row())
 
     def _measure_by_reference(self, row: ViewRow, index: int, render: Render) -> None:
@@ -202,11 +206,14 @@ class Evaluation:
         if self.reference_frames is not None:
             measure_robustness(row, render, self.reference_frames)
 
-    def _measure_style(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
+    def _measure_style(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray, photo: Photo | None) -> None:
         style = self.perceptual.style_image
         if style is not None:
             measure_style(row, image, alpha, style.distances)
             measure_palette(row, image, alpha, style.image)
+            measure_colors(row, image, alpha, style.colors)
+            same_size = photo if photo is not None and photo.image.shape == image.shape else None
+            measure_speckle(row, image, alpha, same_size, style.speckle(max(image.shape[:2])))
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
@@ -224,7 +231,7 @@ class Evaluation:
             "perceptual_net": perceptual.pixel_name,
             "style_protocol": style.protocol if style else "no style image",
             "style_label": perceptual.style_label,
-            "style_network": f"{style.judge_name}, {style.judge_layer}" if style else "no style image",
+            "style_network": style.judge.description if style else "no style image",
             "gap": self.config.gap,
             "nearest": NEAREST,
             "plain": self.base.frames.field if self.base else "none",

@@ -112,13 +112,18 @@ def test_metrics_of_a_stylized_field(stylized, painted):
     assert metric(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
     kept = metric(report, "content_ssim")
     assert 0.7 < kept["mean"] < kept["reference"]["the unstylized renders"] <= 1
+    edges = metric(report, "edges_kept")
+    assert edges["mean"] == pytest.approx(1, abs=0.02) and edges["count"] == 2  # other colors, the same edges
+    colors = metric(report, "color_distribution")
+    assert colors["mean"] < 0.8 * colors["reference"]["the unstylized renders"]
+    assert metric(report, "speckle")["mean"] < 0.002
     assert FEATURES in metric(report, "nnfm")["protocol"] and metric(report, "nnfm")["count"] == 2
     assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["metrics"]}
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
     page = artifact.file("report.html").read_text()
     assert "the style image" in page and page.count("<img") == 2 * 4 + 1
-    assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
+    assert {record.path for record in artifact.manifest.files} >= {"charts/sifid_views.svg"}
 
 
 def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_path, painted):
@@ -137,7 +142,7 @@ def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_pat
         config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
         report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
         reported[words] = json.loads(report.file("report.json").read_text())
-        for key in ("nnfm", "gram", "palette"):
+        for key in ("nnfm", "gram", "palette", "color_distribution"):
             assert metric(reported[words], key)["label"].endswith(f"distance to {words}")
             assert words in metric(reported[words], key)["protocol"]
         page = report.file("report.html").read_text()
