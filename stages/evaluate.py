@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
 from schemas.canonical_json import file_sha256
+from schemas.errors import UsageError
 from schemas.images import read_image
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
@@ -22,6 +23,7 @@ from stages.artifacts.provenance import fields_behind, is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.metrics import Metric, Row, is_number, summarize, write_csv
+from stages.evaluation.painted_views import PaintedViews
 from stages.evaluation.path_consistency import PathConsistency, flows_digest
 from stages.evaluation.perceptual_metrics import PerceptualMetrics, available_networks, style_file
 from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness, references_digest
@@ -56,6 +58,8 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
     if style is not None:
         read_image(style)
     styled = style_file(config, field) is not None
+    if config.ceiling and not styled:
+        raise UsageError("--ceiling paints in the manner of a style image, and there is none; name one with --style")
     networks = available_networks(config.perceptual != "none", styled, config.features, field)
     digests: dict[str, Any] = digests_of_files(config)
     return replace(config, **digests, networks=networks, features=config.features if styled else "")
@@ -84,6 +88,8 @@ def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArt
     """Write report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; return the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
+    if config.ceiling:
+        task.paint_views()
     if task.path is not None:
         task.path.measure(context.progress)
     report, metrics = task.report()
@@ -124,6 +130,8 @@ class Evaluation:
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylized(self.field)
         self.stylized = made_by_style or self.base is not None or bool(config.style)
+        self.painted: dict[int, np.ndarray] = {}  # by place among the frames: their photos painted in 2D
+        self.painted_rows: list[Row] = []
         self.rows: list[Row] = []
         self.base_rows: list[Row] = []
         self.unmatched: list[str] = []
@@ -169,6 +177,33 @@ class Evaluation:
         progress.finish()
         if self.edit is not None:
             self.edit.measure_training()
+
+    def paint_views(self) -> None:
+        """Paint the photos of the views that are shown in 2D, into `painted`, and measure them like renders."""
+        style = style_file(self.config, self.field)
+        shown = [index for index, _ in self._shown() if self.rows[index]["name"] not in self.unmatched]
+        if style is None or not shown:
+            return
+        context, steps = self.context, self.config.ceiling
+        painter = PaintedViews(self.field, style, self.config.features, context.seed, context.device)
+        context.progress.start("painting views in 2D", len(shown), "view")
+        for done, index in enumerate(shown, start=1):
+            render = self.frames.render(index)
+            if render.scene_view is None:
+                continue
+            photo = self.scene.photo(render.scene_view, render.camera.width, render.camera.height)
+            self.painted[index] = image = painter.painted(photo, self.scene.background, steps)
+            row = ViewRow(render.name)
+            opaque = np.ones(image.shape[:2]) if photo.mask is None else photo.mask
+            self._measure_style(row, image, opaque.astype(np.float32), photo)
+            measure_content(row, image, photo)
+            self.painted_rows.append(row.row())
+            context.progress.update(done)
+        context.progress.finish()
+
+    def _shown(self) -> list[tuple[int, str]]:
+        """Places of the views on the contact sheet, each with a word for its heading."""
+        return chosen_views(self.rows, "content_ssim" if self.stylized else "psnr", self.config.sheet)
 
     def _photo(self, render: Render) -> Photo | None:
         if render.scene_view is None or not 0 <= render.scene_view < len(self.scene):
@@ -244,6 +279,10 @@ class Evaluation:
         facts = self.facts()
         name = "the unstylized renders" if self.base is not None else "the photos"
         references = {metric.key: {name: metric.mean} for metric in summarize(self.base_rows, facts)}
+        count = len(self.painted_rows)
+        painted = f"{count} view{'s' * (count != 1)} painted in 2D"
+        for metric in summarize(self.painted_rows, facts):
+            references.setdefault(metric.key, {})[painted] = metric.mean
         palette = palette_rows(self.field, self.edit is not None)
         metrics = summarize([*self.rows, *self.pairs, *self.training_rows, *palette], facts, references)
         if self.edit is not None:
@@ -301,20 +340,19 @@ class Evaluation:
 
     def contact_sheet(self) -> ContactSheet:
         """Collect the views worth seeing."""
-        key = "content_ssim" if self.stylized else "psnr"
         style, label, thumbnail = self.perceptual.style_image, self.perceptual.style_label, None
         if style:
             alt = f"{label[:1].upper()}{label[1:]} {self.perceptual.style_name}"
             thumbnail = Picture(style.image, label, alt)
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
-        for index, word in chosen_views(self.rows, key, self.config.sheet):
+        for index, word in self._shown():
             render = self.frames.render(index)
             size = (render.camera.width, render.camera.height)
             matched = render.scene_view if render.name not in self.unmatched else None
             photo = None if matched is None else self.scene.photo(matched, *size)
             heading = f"{render.name} ({word})" if word else render.name
             base = self.edit.unedited_render(render) if self.edit else self._base_of(render) if self.stylized else None
-            sheet.add(heading, self.rows[index], render, photo, base)
+            sheet.add(heading, self.rows[index], render, photo, base, self.painted.get(index))
         return sheet
 
 
