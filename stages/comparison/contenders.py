@@ -99,7 +99,9 @@ def labels_of(runs: Sequence[tuple[Run, Mapping]]) -> list[str]:
     labels = []
     for run, config in runs:
         varying = [key for key in keys[run.method] if len(values[run.method, key]) > 1 and key != "method"]
-        labels.append(", ".join([run.method, *(f"{key.replace('_', '-')} {config.get(key)}" for key in varying)]))
+        # An option that a run lacks, or that is empty, is left to the others' labels.
+        given = [f"{key.replace('_', '-')} {config[key]}" for key in varying if config.get(key) not in (None, "")]
+        labels.append(", ".join([run.method, *given]))
     places = [(run.group, label) for (run, _), label in zip(runs, labels, strict=True)]
     return [
         f"{label} ({run.name})" if places.count(place) > 1 else label

@@ -37,22 +37,23 @@ class Pair:
 
 
 def chosen_pairs(contenders: Sequence[Contender], most: int, seed: int) -> list[Pair]:
-    """Choose at most `most` pairs in random order, sides at random: every two of a group, then again in another view.
+    """Choose at most `most` pairs in random order: every two of a group, then again in another view, sides swapped.
 
-    So all of them meet equally often, up to one view.
+    So all of them meet equally often, up to one view, and people who prefer a side favor nobody.
     """
     generator = np.random.default_rng(seed)
     meetings = []
     for a, b in combinations(range(len(contenders)), 2):
         if contenders[a].run.group == contenders[b].run.group:
             views = sorted({*contenders[a].views} & {*contenders[b].views})
-            meetings.append((a, b, generator.permutation(views).tolist()))
+            first, second = (a, b) if generator.random() < 0.5 else (b, a)
+            meetings.append((first, second, generator.permutation(views).tolist()))
     found: list[Pair] = []
     for turn in range(max((len(views) for *_, views in meetings), default=0)):
         for place in generator.permutation(len(meetings)).tolist():
             a, b, views = meetings[place]
             if turn < len(views) and len(found) < most:
-                left, right = (a, b) if generator.random() < 0.5 else (b, a)
+                left, right = (b, a) if turn % 2 else (a, b)
                 found.append(Pair(left, right, views[turn]))
     return [found[i] for i in generator.permutation(len(found)).tolist()]
 

@@ -17,7 +17,8 @@
     }
     find("vote").hidden = done;
     find("done").hidden = !done;
-    find("back").disabled = at === 0;
+    for (const side of ["left", "right"]) find(side).addEventListener("click", () => vote(side));
+  find("back").disabled = at === 0;
     const given = votes[at] ? ", voted " + votes[at].choice : "";
     find("place").textContent = "Pair " + (at + 1) + " of " + data.pairs.length + given;
     find("count").textContent = Object.keys(votes).length + " of " + data.pairs.length + " votes";

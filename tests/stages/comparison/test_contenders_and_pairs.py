@@ -67,6 +67,8 @@ def test_two_of_the_same_name_get_that_of_their_field(contenders):
     config = {"rate": 0.1, "style_digest": "a"}
     twins = [(run, config), (replace(run, name="twin"), {**config, "style_digest": "b"})]
     assert labels_of(twins) == [f"arf ({run.name})", "arf (twin)"]
+    older = [(run, {"budget": "30s", "layers": ""}), (run, {"budget": "30s", "layers": "conv3", "coarse": 0.5})]
+    assert labels_of(older) == ["arf", "arf, coarse 0.5, layers conv3"]
     assert labels_of([(run, config), (replace(run, method="snerf"), config)]) == ["arf", "snerf"]
 
 
@@ -82,6 +84,9 @@ def test_pairs_are_within_a_group_balanced_and_shuffled(contenders):
     assert chosen_pairs(found, 60, 0) == pairs != chosen_pairs(found, 60, 1)
     sides = [(one.left < one.right) for seed in range(40) for one in chosen_pairs(found, 60, seed)]
     assert 0.4 < np.mean(sides) < 0.6  # no side is anyone's
+    for first, second in {(min(one.left, one.right), max(one.left, one.right)) for one in pairs}:
+        swaps = [one.left == first for one in pairs if {one.left, one.right} == {first, second}]
+        assert abs(2 * sum(swaps) - len(swaps)) <= 1
 
 
 @pytest.fixture(scope="module")

@@ -90,7 +90,7 @@ def test_votes_by_mouse_and_keyboard_are_saved(browser, tmp_path):
     assert [(vote["pair"], vote["choice"]) for vote in content["votes"]] == [(0, "right"), (1, "same")]
     browser.open(path, 1400, "light")  # votes outlast the tab
     assert browser.evaluate(PLACE) == "Pair 3 of 3"
-    press(browser, "ArrowRight")
+    browser.evaluate('document.getElementById("right").click()')
     assert browser.evaluate('document.getElementById("done").hidden') is False
     assert browser.evaluate('document.getElementById("vote").hidden') is True
     assert browser.evaluate('document.getElementById("save").download') == "votes-02020202.json"

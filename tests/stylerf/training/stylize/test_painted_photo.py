@@ -23,7 +23,7 @@ SETTINGS = ImageStyleSettings(
 def photo():
     rows, columns = np.mgrid[:40, :56]
     gray = 0.5 + 0.3 * np.sin(rows / 9) * np.cos(columns / 11)
-    return np.stack([gray, gray * 0.9, gray * 0.8], axis=-1).astype(np.float32)
+    return np.stack([gray, 0.5 + 0.3 * np.cos(rows / 7), 0.5 + 0.3 * np.sin(columns / 5)], axis=-1).astype(np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +39,11 @@ def gram_distance(image: np.ndarray, style: torch.Tensor) -> float:
 
 
 def test_it_comes_nearer_to_the_style_image_with_more_steps(photo, stripes):
-    few, many = (painted_photo(photo, None, 1.0, stripes, SETTINGS, small_trunk(), steps) for steps in (3, 40))
+    few, many = (painted_photo(photo, None, 1.0, stripes, SETTINGS, small_trunk(), steps) for steps in (2, 40))
     distances = [gram_distance(image, stripes) for image in (photo, few, many)]
-    assert distances[0] > distances[1] > distances[2] and distances[2] < distances[0] / 2
+    assert distances[2] < min(distances[:2]) / 2
     assert many.shape == photo.shape and many.dtype == np.float32 and 0 <= many.min() <= many.max() <= 1
-    assert np.array_equal(few, painted_photo(photo, None, 1.0, stripes, SETTINGS, small_trunk(), 3))
+    assert np.array_equal(few, painted_photo(photo, None, 1.0, stripes, SETTINGS, small_trunk(), 2))
 
 
 @pytest.mark.parametrize("match", ["before", "after", "both"])
