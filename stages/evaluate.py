@@ -23,7 +23,6 @@ from stages.artifacts.provenance import fields_behind, is_stylized, upstream
 from stages.configs.evaluate import EvaluateConfig
 from stages.evaluation.local_edit import LocalEdit, palette_facts, palette_rows
 from stages.evaluation.metrics import Metric, Row, is_number, summarize, write_csv
-from stages.evaluation.painted_views import PaintedViews
 from stages.evaluation.path_consistency import PathConsistency, flows_digest
 from stages.evaluation.perceptual_metrics import PerceptualMetrics, available_networks, style_file
 from stages.evaluation.reference_metrics import NEAREST, References, measure_robustness, references_digest
@@ -180,6 +179,8 @@ class Evaluation:
 
     def paint_views(self) -> None:
         """Paint the photos of the views that are shown in 2D, into `painted`, and measure them like renders."""
+        from stages.evaluation.painted_views import PaintedViews  # late: it needs the trainer, other evaluations do not
+
         style = style_file(self.config, self.field)
         shown = [index for index, _ in self._shown() if self.rows[index]["name"] not in self.unmatched]
         if style is None or not shown:
