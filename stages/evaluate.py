@@ -15,6 +15,7 @@ import numpy as np
 
 from schemas.atomic_write import write_bytes, write_json
 from schemas.canonical_json import file_sha256
+from schemas.errors import UsageError
 from schemas.images import read_image
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.edit import OF_WEIGHTS
@@ -29,11 +30,13 @@ from stages.evaluation.region_masks import masks_digest
 from stages.evaluation.test_views import FrameViews, Photo, Render, SceneViews
 from stages.evaluation.view_metrics import (
     ViewRow,
+    measure_colors,
     measure_content,
     measure_fit,
     measure_palette,
     measure_see_through,
     measure_shape,
+    measure_speckle,
     measure_style,
     nonfinite_message,
 )
@@ -54,7 +57,9 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
     if style is not None:
         read_image(style)
     styled = style_file(config, field) is not None
-    networks = available_networks(config.perceptual != "none", styled, config.features)
+    if config.ceiling and not styled:
+        raise UsageError("--ceiling paints in the manner of a style image, and there is none; name one with --style")
+    networks = available_networks(config.perceptual != "none", styled, config.features, field)
     digests: dict[str, Any] = digests_of_files(config)
     return replace(config, **digests, networks=networks, features=config.features if styled else "")
 
@@ -70,16 +75,20 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=7, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=8, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
-    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "content_ssim"
+    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "color_distribution",
+    "speckle",
 )  # fmt: skip
+CONTENT_KEYS = ("content_ssim", "edges_kept")
 
 
 def run(inputs: dict[str, Artifact], config: EvaluateConfig, partial: PartialArtifact, context: Context) -> dict:
     """Write report.json, views.csv, pairs.csv, training.csv, charts/ and report.html; return the means by key."""
     task = Evaluation(inputs, config, context)
     task.measure_views()
+    if config.ceiling:
+        task.paint_views()
     if task.path is not None:
         task.path.measure(context.progress)
     report, metrics = task.report()
@@ -120,6 +129,8 @@ class Evaluation:
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylized(self.field)
         self.stylized = made_by_style or self.base is not None or bool(config.style)
+        self.painted: dict[int, np.ndarray] = {}  # by place among the frames: their photos painted in 2D
+        self.painted_rows: list[Row] = []
         self.rows: list[Row] = []
         self.base_rows: list[Row] = []
         self.unmatched: list[str] = []
@@ -160,11 +171,40 @@ class Evaluation:
                 measure_see_through(row, render, previous)
             previous = render
             self.rows.append(row.row())
-            leading = self.rows[-1].get("nnfm" if self.stylized else "psnr")
+            leading = self.rows[-1].get("sifid" if self.stylized else "psnr")
             progress.update(done, "" if leading is None else f"{leading:.3f}" if self.stylized else f"{leading:.2f} dB")
         progress.finish()
         if self.edit is not None:
             self.edit.measure_training()
+
+    def paint_views(self) -> None:
+        """Paint the photos of the views that are shown in 2D, into `painted`, and measure them like renders."""
+        from stages.evaluation.painted_views import PaintedViews  # late: it needs the trainer, other evaluations do not
+
+        style = style_file(self.config, self.field)
+        shown = [index for index, _ in self._shown() if self.rows[index]["name"] not in self.unmatched]
+        if style is None or not shown:
+            return
+        context, steps = self.context, self.config.ceiling
+        painter = PaintedViews(self.field, style, self.config.features, context.seed, context.device)
+        context.progress.start("painting views in 2D", len(shown), "view")
+        for done, index in enumerate(shown, start=1):
+            render = self.frames.render(index)
+            if render.scene_view is None:
+                continue
+            photo = self.scene.photo(render.scene_view, render.camera.width, render.camera.height)
+            self.painted[index] = image = painter.painted(photo, self.scene.background, steps)
+            row = ViewRow(render.name)
+            opaque = np.ones(image.shape[:2]) if photo.mask is None else photo.mask
+            self._measure_style(row, image, opaque.astype(np.float32), photo)
+            measure_content(row, image, photo)
+            self.painted_rows.append(row.row())
+            context.progress.update(done)
+        context.progress.finish()
+
+    def _shown(self) -> list[tuple[int, str]]:
+        """Places of the views on the contact sheet, each with a word for its heading."""
+        return chosen_views(self.rows, "content_ssim" if self.stylized else "psnr", self.config.sheet)
 
     def _photo(self, render: Render) -> Photo | None:
         if render.scene_view is None or not 0 <= render.scene_view < len(self.scene):
@@ -178,22 +218,22 @@ class Evaluation:
     def _measure_stylized(self, row: ViewRow, render: Render, photo: Photo | None) -> None:
         base = self._base_of(render)
         if render.nonfinite:
-            row.skip(STYLE_KEYS if self.perceptual.style_image else STYLE_KEYS[-1:], nonfinite_message(render))
+            row.skip((*(STYLE_KEYS if self.perceptual.style_image else ()), *CONTENT_KEYS), nonfinite_message(render))
         else:
-            self._measure_style(row, render.image, render.alpha)
+            self._measure_style(row, render.image, render.alpha, photo)
             if photo is not None:
                 measure_content(row, render.image, photo)
         if base is not None:
             measure_shape(row, render, base)
         base_row = ViewRow(render.name)
         if base is not None and not base.nonfinite:
-            self._measure_style(base_row, base.image, base.alpha)
+            self._measure_style(base_row, base.image, base.alpha, photo)
             if photo is not None and base.image.shape == photo.image.shape:
                 measure_content(base_row, base.image, photo)
         elif base is None and photo is not None:
             mask = photo.mask if photo.visible is None else photo.visible
             mask = np.ones(photo.image.shape[:2], np.float32) if mask is None else mask.astype(np.float32)
-            self._measure_style(base_row, photo.image, mask)
+            self._measure_style(base_row, photo.image, mask, photo)
         self.base_rows.append(base_row.row())
 
     def _measure_by_reference(self, row: ViewRow, index: int, render: Render) -> None:
@@ -202,11 +242,14 @@ class Evaluation:
         if self.reference_frames is not None:
             measure_robustness(row, render, self.reference_frames)
 
-    def _measure_style(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray) -> None:
+    def _measure_style(self, row: ViewRow, image: np.ndarray, alpha: np.ndarray, photo: Photo | None) -> None:
         style = self.perceptual.style_image
         if style is not None:
             measure_style(row, image, alpha, style.distances)
             measure_palette(row, image, alpha, style.image)
+            measure_colors(row, image, alpha, style.colors)
+            same_size = photo if photo is not None and photo.image.shape == image.shape else None
+            measure_speckle(row, image, alpha, same_size, style.speckle(max(image.shape[:2])))
 
     def _base_of(self, render: Render) -> Render | None:
         """The unstylized render of the same view of the scene."""
@@ -224,7 +267,7 @@ class Evaluation:
             "perceptual_net": perceptual.pixel_name,
             "style_protocol": style.protocol if style else "no style image",
             "style_label": perceptual.style_label,
-            "style_network": f"{style.judge_name}, {style.judge_layer}" if style else "no style image",
+            "style_network": style.judge.description if style else "no style image",
             "gap": self.config.gap,
             "nearest": NEAREST,
             "plain": self.base.frames.field if self.base else "none",
@@ -237,6 +280,10 @@ class Evaluation:
         facts = self.facts()
         name = "the unstylized renders" if self.base is not None else "the photos"
         references = {metric.key: {name: metric.mean} for metric in summarize(self.base_rows, facts)}
+        count = len(self.painted_rows)
+        painted = f"{count} view{'s' * (count != 1)} painted in 2D"
+        for metric in summarize(self.painted_rows, facts):
+            references.setdefault(metric.key, {})[painted] = metric.mean
         palette = palette_rows(self.field, self.edit is not None)
         metrics = summarize([*self.rows, *self.pairs, *self.training_rows, *palette], facts, references)
         if self.edit is not None:
@@ -294,20 +341,19 @@ class Evaluation:
 
     def contact_sheet(self) -> ContactSheet:
         """Collect the views worth seeing."""
-        key = "content_ssim" if self.stylized else "psnr"
         style, label, thumbnail = self.perceptual.style_image, self.perceptual.style_label, None
         if style:
             alt = f"{label[:1].upper()}{label[1:]} {self.perceptual.style_name}"
             thumbnail = Picture(style.image, label, alt)
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
-        for index, word in chosen_views(self.rows, key, self.config.sheet):
+        for index, word in self._shown():
             render = self.frames.render(index)
             size = (render.camera.width, render.camera.height)
             matched = render.scene_view if render.name not in self.unmatched else None
             photo = None if matched is None else self.scene.photo(matched, *size)
             heading = f"{render.name} ({word})" if word else render.name
             base = self.edit.unedited_render(render) if self.edit else self._base_of(render) if self.stylized else None
-            sheet.add(heading, self.rows[index], render, photo, base)
+            sheet.add(heading, self.rows[index], render, photo, base, self.painted.get(index))
         return sheet
 
 

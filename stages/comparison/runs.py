@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from schemas.canonical_json import digest_of
-from schemas.errors import StylerfError
+from schemas.errors import ArtifactStale, StylerfError
 from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.artifacts.provenance import counted, is_stylized, original_scene
 from stages.artifacts.report import read_report
@@ -17,10 +17,11 @@ from stages.evaluation.metrics import is_number
 
 FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")
-# The charted metrics of each family, each with the `stylerf eval` option that measures it.
+# The charted metrics of each family, the leading one first, each with the `stylerf eval` option that measures it. That
+# of stylizations is none that a method minimizes, as ARF does the NNFM distance.
 CHARTED = {
     FITS: {"psnr": "", "ssim": "", "lpips": ""},
-    STYLIZATIONS: {"nnfm": "", "content_ssim": "", "short_rmse": "--path", "long_rmse": "--path"},
+    STYLIZATIONS: {"sifid": "", "edges_kept": "", "short_rmse": "--path", "long_rmse": "--path"},
     EDITS: {"background_mse": "--region", "bleeding": "--region", "sparsity": "--region", "edit_short_rmse": "--path"},
 }
 ORDER = {key: index for index, key in enumerate(BY_KEY)}
@@ -111,6 +112,12 @@ def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
             groups.append(group)
             gaps += _gaps(run, work)
     return [replace(run, group=name) for run, name in zip(runs, _group_names(groups), strict=True)], gaps
+
+
+def fields_of(works: Sequence[WorkFolder]) -> dict[str, tuple[WorkFolder, Artifact]]:
+    """Work folder and field by the title of its run."""
+    labeled = zip(works, _labels(works), strict=True)
+    return {f"{label}/{one.name}": (work, one) for work, label in labeled for one in work.artifacts("field")}
 
 
 def thread_mismatches(runs: Sequence[Run]) -> list[Gap]:
@@ -227,19 +234,30 @@ def _subject(artifact: Artifact, family: str, report: Artifact | None = None, co
 
 def _group(artifact: Artifact, label: str, scenes: dict[str, str], subject: Group) -> Group:
     """The group of a run. scenes: names by digest, so that two work folders with one scene share a group."""
-    waiting, scene = [artifact], None
-    while waiting and scene is None:
+    try:
+        digest = scene_behind(artifact).digest
+        name = scenes.setdefault(digest, label)
+    except NoScene:
+        digest = name = label
+    return Group((digest, *subject.digests), f"{name}, {subject.name}" if subject.name else name)
+
+
+class NoScene(ArtifactStale):
+    """A field names no scene."""
+
+
+def scene_behind(field: Artifact) -> Artifact:
+    """Return the scene of photos that a field shows; NoScene if none is named, ArtifactStale if it is gone."""
+    waiting = [field]
+    while waiting:
         one = waiting.pop(0)
         inside = WorkFolder(one.path.parent.parent)
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
-                scene = original_scene(inside.get("scene", ref.name))
-                break
+                return original_scene(inside.get("scene", ref.name))
             if ref.kind == "field":
                 waiting.append(inside.get("field", ref.name))
-    name = label if scene is None else scenes.setdefault(scene.digest, label)
-    digest = label if scene is None else scene.digest
-    return Group((digest, *subject.digests), f"{name}, {subject.name}" if subject.name else name)
+    raise NoScene(f"field {field.name} names no scene that it was made from")
 
 
 def _style(artifact: Artifact, report: Artifact | None) -> Group:

@@ -71,6 +71,13 @@ class EvaluateConfig:
     margin: int = advanced(2, "local edit", help="pixels around a region that are not counted as background")
     ring: int = advanced(8, "local edit", help="width in pixels of the ring around a region where bleeding is measured")
     train_views: bool = advanced(False, "local edit", help="also measure a local edit on the training views")
+    ceiling: int = advanced(
+        0,
+        "style",
+        metavar="STEPS",
+        help="also paint the views of the contact sheet in 2D by the field's style loss, as a ceiling (0: no; 60 steps "
+        "take a minute a view)",
+    )
     sheet: int = option(6, help="number of views on the contact sheet: the worst, the best, others evenly spread")
 
     def __post_init__(self) -> None:
@@ -79,7 +86,7 @@ class EvaluateConfig:
         for flag, value, smallest in (
             ("--gap", self.gap, 2), ("--pairs", self.pairs, 0), ("--sheet", self.sheet, 1),
             ("--perceptual-pairs", self.perceptual_pairs, 0), ("--style-side", self.style_side, SMALLEST_SIDE),
-            ("--margin", self.margin, 0), ("--ring", self.ring, 1),
+            ("--margin", self.margin, 0), ("--ring", self.ring, 1), ("--ceiling", self.ceiling, 0),
         ):  # fmt: skip
             if value < smallest:
                 raise ValueError(f"{flag} {value}: expected at least {smallest}")

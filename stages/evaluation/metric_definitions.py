@@ -131,13 +131,14 @@ STYLE = (
     MetricDefinition(
         "sifid", "SIFID-style distance, {style_network}", "", "lower", 3,
         "Squared Frechet distance between the features of {style_network} at the positions of the render and of "
-        "{style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. No method matches "
-        "these features by default. SIFID proper uses Inception, so its values differ.",
+        "{style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. The network is "
+        "another one than the field was stylized with, unless it says so. SIFID proper uses Inception, so its values "
+        "differ.",
     ),
     MetricDefinition(
         "palette", "Color distance to {style_label}", "", "lower", 4,
         "2-Wasserstein distance between the Gaussians with the mean and covariance of the sRGB colors of the render "
-        "and {style_label}; pixels with alpha below 0.5 are left out.",
+        "and {style_label}; pixels with alpha below 0.5 are left out. Color matching fits just these.",
     ),
     MetricDefinition(
         "palette_mean", "Color distance, means", "", "lower", 4,
@@ -154,8 +155,26 @@ STYLE = (
         "is near 0.",
     ),
     MetricDefinition(
+        "color_distribution", "Color distribution, distance to {style_label}", "ΔE", "lower", 2,
+        "Sliced 2-Wasserstein distance of the colors of the render and {style_label} in CIELAB (D65), same pixels: the "
+        "root mean square difference of 1024 quantiles along 16 axes, times sqrt(3), so that a shift of all colors by "
+        "x has distance x.",
+    ),
+    MetricDefinition(
+        "speckle", "Speckle beyond that of photo and {style_label}", "", "lower", 4,
+        "Root mean square over pixels and RGB by which values lie outside the range of their 8 neighbors (sRGB 0..1), "
+        "less the larger of those of the photo and of {style_label} at the render's size, at least 0; pixels with "
+        "alpha below 0.5, and those beside them, are left out.",
+    ),
+    MetricDefinition(
         "content_ssim", "Content SSIM", "", "higher", 4,
         "SSIM (11x11, sigma 1.5) of Rec.709 luma between the stylized render and the photo {background}.",
+    ),
+    MetricDefinition(
+        "edges_kept", "Edges of the photo kept", "fraction", "higher", 3,
+        "Fraction of the photo's Canny edges (luma over its standard deviation, blurred by 0.4 % of the longer side) "
+        "that have an edge of the render within 0.6 % of the longer side, of its orientation within 22 to 45 degrees, "
+        "beyond what edges elsewhere would meet by chance; for an object, edges within its silhouette.",
     ),
     MetricDefinition(
         "ref_lpips", "Ref-{perceptual_net}", "", "lower", 4,

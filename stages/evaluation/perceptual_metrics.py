@@ -1,5 +1,6 @@
 """The perceptual networks of an evaluation, and its style image."""
 
+import functools
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,21 +14,21 @@ from schemas.errors import BadInput, UsageError
 from schemas.work_folder import Artifact
 from stages.artifacts.style_images import read_colors
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
+from stages.evaluation.judge import Judge, judge_beside, networks_that_stylized
 from stages.evaluation.view_metrics import Score
 from stages.run.progress import Context
 from stages.weights import resolve
+from stylerf.metrics.color_distribution import color_quantiles
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
+from stylerf.metrics.speckle import speckle
 from stylerf.style.feature_extractor import FeatureExtractor, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
 
 LAYERS = "conv3"  # conv3_1 to conv3_3 concatenated, as in ARF
-# SIFID takes its features just before the second pooling; of a network that no objective used, so that it judges.
-JUDGES, JUDGE_LAYER = ("st-vgg16", "hed-vgg16"), "conv2_2"
-LAYER_OF_ONLY_NETWORK = "conv1_2"  # no method matches it by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +57,21 @@ def perceptual_networks(device: str) -> tuple[PerceptualNetwork | None, Perceptu
     return st_lpips, lpips
 
 
-def available_networks(perceptual: bool, style: bool, features: str) -> str:
-    """Names and digests of the networks of an evaluation: perceptual ones, and that of the style features.
+def available_networks(perceptual: bool, style: bool, features: str, field: Artifact | None = None) -> str:
+    """Names and digests of the networks of an evaluation: perceptual ones, that of the style features, the judge.
 
     Raises UsageError if style is measured and the feature network is missing.
     """
     found = [one for one in _perceptual_weights() if one] if perceptual else []
-    found += [resolve.resolve(features or None)] if style else []
+    if style:
+        own = resolve.resolve(features or None)
+        found += [own, _judge_of(own, field).network]
     return ", ".join(f"{one.name} {one.digest[:16]}" for one in found)
+
+
+def _judge_of(own: resolve.ResolvedExtractor, field: Artifact | None) -> Judge:
+    """The judge of a field. A field that records no network is taken to be stylized by the one that measures it."""
+    return judge_beside(networks_that_stylized(field) or {own.digest}, own)
 
 
 def _perceptual_weights() -> tuple[resolve.ResolvedExtractor | None, resolve.ResolvedExtractor | None]:
@@ -105,17 +113,18 @@ class StyleImage:
     size are comparable.
     """
 
-    def __init__(self, image: np.ndarray, features: str, side: int, device: str) -> None:
-        """image: [h, w, 3] sRGB 0..1."""
+    def __init__(
+        self, image: np.ndarray, features: str, side: int, device: str, field: Artifact | None = None
+    ) -> None:
+        """image: [h, w, 3] sRGB 0..1. field: what is measured; the judge is no network that stylized it."""
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
         self.network_name, self.network_source = found.name, found.source
         self.extractor = FeatureExtractor(found.state, LAYERS, found.kind).to(device)
-        judge = _judge_beside(found)
-        self.judge_layer = JUDGE_LAYER if judge.digest != found.digest else LAYER_OF_ONLY_NETWORK
-        self.judge_name = judge.name
-        self._judge = FeatureExtractor(judge.state, self.judge_layer, judge.kind).to(device)
+        self.judge = _judge_of(found, field)
+        self._judging = FeatureExtractor(self.judge.network.state, self.judge.layer, self.judge.network.kind).to(device)
         self._features_by_side: dict[int, StyleFeatures] = {}
+        self._speckle_by_side: dict[int, float] = {}
 
     @property
     def protocol(self) -> str:
@@ -144,6 +153,19 @@ class StyleImage:
         sifid = frechet_squared(_moments(fine, fine_coverage > 0), style.moments)
         return float(nearest.sum() / coverage.sum()), float(difference), sifid
 
+    @functools.cached_property
+    def colors(self) -> np.ndarray:
+        """Quantiles of its colors, for the distance of color distributions."""
+        return color_quantiles(self.image.reshape(-1, 3))
+
+    def speckle(self, side: int) -> float:
+        """Its speckle at `side` pixels on the longer side, or at its own size if smaller."""
+        side = min(side, max(self.image.shape[:2]))
+        if side not in self._speckle_by_side:
+            scaled = fitted(_batch(self.image, "cpu")[0], side).clamp(0, 1)
+            self._speckle_by_side[side] = speckle(scaled.permute(1, 2, 0).numpy())
+        return self._speckle_by_side[side]
+
     def _coverage(self, alpha: np.ndarray, features: Tensor) -> Tensor:
         """Weight of each feature position, 0 where at most half of it is opaque."""
         weights = position_weights(torch.from_numpy(np.ascontiguousarray(alpha)).float().to(self.device), features)
@@ -160,17 +182,7 @@ class StyleImage:
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Features [c, h, w] of the judge, and of the layers of conv3 concatenated."""
-        return self._judge(image[None])[0][0], by_block(self.extractor.layers, self.extractor(image[None]))["conv3"]
-
-
-def _judge_beside(used: resolve.ResolvedExtractor) -> resolve.ResolvedExtractor:
-    """A feature extractor other than the one used; that one if there is no other."""
-    for name in JUDGES:
-        with suppress(UsageError):
-            found = resolve.resolve(name)
-            if found.digest != used.digest:
-                return found
-    return used
+        return self._judging(image[None])[0][0], by_block(self.extractor.layers, self.extractor(image[None]))["conv3"]
 
 
 def _moments(features: Tensor, where: Tensor) -> Moments:
@@ -201,7 +213,7 @@ class PerceptualMetrics:
         path = style_file(config, field)
         if path is None:
             return cls(st_lpips, lpips, None, "")
-        style_image = StyleImage(read_colors(path), config.features, config.style_side, context.device)
+        style_image = StyleImage(read_colors(path), config.features, config.style_side, context.device, field)
         context.progress.say(f"style distances to {path.name} use the features of {style_image.network_name}")
         return cls(st_lpips, lpips, style_image, path.name, style_label(config, field))
 

@@ -10,10 +10,13 @@ from stages.evaluation.metrics import Row, is_number
 from stages.evaluation.test_views import Photo, Render
 from stylerf.errors import InvalidValue
 from stylerf.metrics import image_quality
+from stylerf.metrics.color_distribution import color_quantiles, distance_of_quantiles
 from stylerf.metrics.colorfulness import colorfulness
 from stylerf.metrics.consistency import seen_through
 from stylerf.metrics.depth import depth_errors, shape_change
+from stylerf.metrics.edges_kept import edges_kept
 from stylerf.metrics.frechet import palette_distance
+from stylerf.metrics.speckle import speckle
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
 Score = Callable[[np.ndarray, np.ndarray], float]
@@ -104,14 +107,38 @@ def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style_im
     row.measure(keys, distances)
 
 
+def measure_colors(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style_quantiles: np.ndarray) -> None:
+    """Compare the distribution of an image's colors, where alpha > 0.5, with that of the style image."""
+    row.measure(
+        ("color_distribution",), lambda: distance_of_quantiles(color_quantiles(image[alpha > 0.5]), style_quantiles)
+    )
+
+
+def measure_speckle(
+    row: ViewRow, image: np.ndarray, alpha: np.ndarray, photo: Photo | None, style_speckle: float
+) -> None:
+    """Speckle of an image, where it is opaque, beyond that of its photo and of the style image."""
+
+    def excess() -> float:
+        opaque = alpha > 0.5
+        visible = opaque if photo is None or photo.visible is None else opaque & photo.visible
+        own = [] if photo is None else [speckle(photo.image, visible)]
+        return max(0.0, speckle(image, opaque) - max([style_speckle, *own]))
+
+    row.measure(("speckle",), excess)
+
+
 def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
     """NNFM, Gram and SIFID-style distance of an image, where it is opaque, to the style image."""
     row.measure(("nnfm", "gram", "sifid"), lambda: distances(image, alpha))
 
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:
-    """Content SSIM: how much of the photo's structure a stylized image kept."""
+    """Content SSIM and edges kept: how much of the photo's structure a stylized image has."""
     row.measure(("content_ssim",), lambda: image_quality.content_ssim(image, photo.filled_from(image), photo.visible))
+    # The silhouette of an object is kept by its density, whatever its colors: only edges within it count.
+    seen = photo.visible if photo.mask is None else photo.mask
+    row.measure(("edges_kept",), lambda: edges_kept(image, photo.filled_from(image), seen))
 
 
 def measure_shape(row: ViewRow, render: Render, base: Render) -> None:

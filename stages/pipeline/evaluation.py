@@ -51,6 +51,8 @@ def evaluated(
     config = pinned(config, field)
     if (against.robust_to or config.reference) and not is_stylized(field):
         raise UsageError(f"--reference and --robust-to need a stylized field; {field.name} is not one")
+    if config.ceiling and (against.regions or config.masks):
+        raise UsageError("--ceiling shows whole views beside whole views; leave it out for a local edit")
     scene = scene_of(runner.work, field)
     if config.reference:
         check_references(config.reference, SceneViews(scene))

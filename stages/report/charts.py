@@ -173,7 +173,7 @@ def evaluation_charts(
 ) -> list[Chart]:
     """The charts there is data for: the leading metric per view, quality against time, consistency along the path."""
     charts = []
-    key, title, unit = ("nnfm", f"NNFM distance to {style_label}", "") if stylized else ("psnr", "PSNR", "dB")
+    key, title, unit = ("sifid", f"SIFID-style distance to {style_label}", "") if stylized else ("psnr", "PSNR", "dB")
     values = [number_in(row, key) for row in rows]
     if any(value is not None for value in values):
         charts.append(bar_chart(f"{key}_views", title, unit, [str(row["name"]) for row in rows], values))

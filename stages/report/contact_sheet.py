@@ -115,7 +115,7 @@ def encode(pictures: Sequence[Picture], budget_bytes: int) -> list[Encoded]:
     """Encode as JPEG data URIs, at the best of ENCODINGS whose total fits the budget, else at the last."""
     encoded: list[Encoded] = []
     for width, quality in ENCODINGS:
-        encoded = [_encoded(picture, width, quality) for picture in pictures]
+        encoded = [encoded_picture(picture, width, quality) for picture in pictures]
         if sum(len(item.uri) for item in encoded) <= budget_bytes:
             break
     return encoded
@@ -129,11 +129,19 @@ def downscaled(image: np.ndarray, width: int) -> np.ndarray:
     return resize(image, (height, width), anti_aliasing=True)
 
 
-def _encoded(picture: Picture, width: int, quality: int) -> Encoded:
+def encoded_picture(picture: Picture, width: int, quality: int, subsampling: int = -1) -> Encoded:
+    """Encode a picture, downscaled to `width` pixels if it is wider, as a JPEG data URI without metadata.
+
+    Args:
+        picture: What to encode.
+        width: Pixels at most.
+        quality: Of JPEG, 1 to 95.
+        subsampling: Of chroma: 0 for none, -1 for the encoder's own.
+    """
     image = downscaled(picture.image, width)
     pixels = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
     buffer = io.BytesIO()
-    imsave(buffer, pixels, format="jpeg", pil_kwargs={"quality": quality, "optimize": True})
+    imsave(buffer, pixels, format="jpeg", pil_kwargs={"quality": quality, "optimize": True, "subsampling": subsampling})
     uri = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
     return Encoded(uri, pixels.shape[1], pixels.shape[0], picture.caption, picture.alt)
 
@@ -174,24 +182,47 @@ class ContactSheet:
         self._style_image = style_image
         self._views: list[_View] = []
 
-    def add(self, heading: str, row: Row, render: Render, photo: Photo | None, base: Render | None = None) -> None:
-        """Add a view; base: the unstylized (for a local edit, the unedited) render of the same view."""
-        pictures = [picture.small() for picture in self._make(row, render, photo, base)]
+    def add(
+        self,
+        heading: str,
+        row: Row,
+        render: Render,
+        photo: Photo | None,
+        base: Render | None = None,
+        painted: np.ndarray | None = None,
+    ) -> None:
+        """Add a view.
+
+        Args:
+            base: The unstylized (for a local edit, the unedited) render of the same view.
+            painted: Its photo painted in 2D, [h, w, 3]; then the row is photo, style image, this, render.
+        """
+        found = self._make(row, render, photo, base)
+        if painted is not None and photo is not None and self._style_image is not None:
+            alt = f"The photo of view {render.name}, stylized in 2D"
+            found = [_photo(render, photo), self._style_image, Picture(painted, "painted in 2D", alt), found[-1]]
+        pictures = [picture.small() for picture in found]
         # Nearest neighbors: averaged depths would lie between surfaces.
         height, width = render.z.shape
         scale = min(1.0, ENCODINGS[0][0] / width)
         nearest = np.ix_(*(np.linspace(0, side - 1, max(1, round(side * scale))).round().astype(int)
                          for side in (height, width)))  # fmt: skip
-        self._views.append(_View(heading, render.name, pictures, render.z[nearest], render.alpha[nearest]))
+        shows_depth = painted is None
+        self._views.append(
+            _View(heading, render.name, pictures, render.z[nearest], render.alpha[nearest], shows_depth)
+        )
 
     def encoded(self) -> Pictures:
         """One row per view: photo, render, error, depth.
 
-        Stylized: photo, unstylized render, stylized render, depth. Local edit: photo, unedited render, edited render,
+        Stylized: photo, unstylized render, stylized render, depth; beside views painted in 2D: photo, style image,
+        painted photo, stylized render. Local edit: photo, unedited render, edited render,
         their difference, depth.
         """
         near, far = depth_range([view.z for view in self._views], [view.alpha for view in self._views])
-        groups = [[*view.pictures, _depth(view, near, far)] for view in self._views]
+        groups = [
+            [*view.pictures, *([_depth(view, near, far)] if view.shows_depth else [])] for view in self._views
+        ]
         flat = [picture for group in groups for picture in group]
         if self._style_image is not None:
             flat.append(self._style_image)
@@ -213,6 +244,7 @@ class _View:
     pictures: list[Picture]
     z: np.ndarray
     alpha: np.ndarray
+    shows_depth: bool = True
 
 
 def _fit_pictures(row: Row, render: Render, photo: Photo | None, _: Render | None) -> list[Picture]:

@@ -8,7 +8,7 @@ from stages.report.contact_sheet import DEPTH_COLORS, ERROR_COLORS, MAX_ERROR, P
 from stages.report.pages import clock, count, number, render_page
 
 EDIT_TILES = ("background_mse", "background_ratio", "change_lab", "bleeding", "short_rmse")
-STYLE_TILES = ("nnfm", "content_ssim", "palette", "short_rmse", "long_rmse")
+STYLE_TILES = ("sifid", "edges_kept", "color_distribution", "speckle", "short_rmse", "long_rmse")
 FIT_TILES = ("psnr", "ssim", "lpips", "stlpips", "depth_abs_rel")
 
 

@@ -91,7 +91,7 @@ def _style_notes(have: Inputs) -> list[dict]:
             "SIFID-style distance stands in for its style term, content SSIM for its content term.",
         )
     )
-    notes.append(_note("Aesthetic quality", "No metric measures it; look at the images."))
+    notes.append(_note("Aesthetic quality", "No metric measures it; look, or ask people: stylerf compare --pairs."))
     return notes
 
 

@@ -1,4 +1,4 @@
-"""`stylerf compare WORK...`: what runs cost and how good they are, with Pareto fronts."""
+"""`stylerf compare WORK...`: what runs cost and how good they are, with Pareto fronts; votes of people."""
 
 from pathlib import Path
 from typing import Any
@@ -12,25 +12,94 @@ from stylerf_cli.session import Session
 CONFIG = None
 NAMELESS = "a comparison is not an artifact"
 FOLDER = "comparison"
+MOST_PAIRS, LARGEST_PAGE = 60, 1000  # ten minutes of a person; a page of a few hundred MB
 
 
 def add_arguments(parser: Parser) -> None:
-    """WORK..., --out."""
+    """WORK..., --out, --pairs, --of, --most, --votes."""
     parser.add_argument("works", metavar="WORK", nargs="+", type=Path, help="the work folders")
     parser.add_argument("--out", metavar="DIR", type=Path, help=f"output folder (default: {FOLDER} in the first WORK)")
+    parser.add_argument(
+        "--pairs",
+        action="store_true",
+        help="instead write pairs.html, where people choose between stylizations without knowing which is which",
+    )
+    parser.add_argument(
+        "--of",
+        metavar="FIELD",
+        action="append",
+        default=[],
+        help="stylized field to show on that page; repeatable (default: all)",
+    )
+    parser.add_argument("--most", metavar="N", type=int, help=f"pairs on that page, at most (default: {MOST_PAIRS})")
+    parser.add_argument(
+        "--votes", metavar="FILE", nargs="+", type=Path, default=[], help="instead count votes saved from such pages"
+    )
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
-    """Return what compare.json holds, with the paths of page and table."""
-    from stages.comparison.page import compared
-
+    """Return what compare.json, a page's key or votes.json holds, with the paths of what was written."""
+    if args.pairs and args.votes:
+        raise UsageError("--pairs writes a page to vote on, --votes counts votes; give one of them")
+    if not args.pairs and (args.of or args.most is not None):
+        raise UsageError("--of and --most choose what --pairs shows; add --pairs")
+    if args.most is not None and not 1 <= args.most <= LARGEST_PAGE:
+        raise UsageError(f"--most {args.most}: expected 1 to {LARGEST_PAGE} pairs")
     paths: dict[Path, Path] = {}
     for path in args.works:
         paths.setdefault(path.resolve(), path)
     works = [_work_of(path) for path in paths.values()]
     out = args.out or works[0].root / FOLDER
+    if args.pairs:
+        return _pairs(args, works, out, session)
+    if args.votes:
+        return _votes(args.votes, works, out, session)
+    from stages.comparison.page import compared
+
     result = {"out": out, "page": out / "compare.html", "table": out / "runs.csv", **compared(works, out)}
     return session.emit(result, _words(result))
+
+
+def _pairs(args: Any, works: list[WorkFolder], out: Path, session: Session) -> dict[str, Any]:
+    from stages.comparison.pairs import KEYS, PAGE, written_pairs
+
+    seed, most = session.common.seed, args.most or MOST_PAIRS
+    key = written_pairs(works, out, args.of, most, seed)
+    result = {
+        "page": out / PAGE,
+        "key": out / KEYS / f"{key['page']}.json",
+        "pairs": len(key["pairs"]),
+        "contenders": key["contenders"],
+        "missing": key["missing"],
+    }
+    lines = [f"{result['pairs']} pairs of {len(key['contenders'])} stylizations:"]
+    lines += [f"  {one['group']}: {one['label']}, field {one['title']}" for one in key["contenders"]]
+    lines += [f"missing: {gap['what']}. {gap['why']}" for gap in result["missing"]]
+    return session.emit(result, [*lines, f"key: {result['key']}", f"page: {result['page']}"])
+
+
+def _votes(files: list[Path], works: list[WorkFolder], out: Path, session: Session) -> dict[str, Any]:
+    from stages.comparison.votes import counted_votes
+
+    content = counted_votes(works, files, out)
+    lines = [f"{content['votes']} votes"]
+    for group, rows in content["standings"].items():
+        lines.append(f"{group}:")
+        lines += [f"  {row['contender']}: won {_share(row)}, {row['same']} the same" for row in rows]
+    if content["agreement"]:
+        lines.append("votes for the run with the better figure:")
+    lines += [f"  {one['metric']}: {_share(one)}" for one in content["agreement"]]
+    lines += [f"missing: {gap['what']}. {gap['why']}" for gap in content["missing"]]
+    result = {"page": out / "votes.html", "table": out / "votes.json", **content}
+    return session.emit(result, [*lines, f"page: {result['page']}"])
+
+
+def _share(row: dict[str, Any]) -> str:
+    """Votes won of those decided, with the interval."""
+    counts = f"{row['won']} of {row['decided']}"
+    if not row["decided"]:
+        return counts
+    return f"{counts}, {row['share']:.0%} ({row['low']:.0%} to {row['high']:.0%})"
 
 
 def _work_of(path: Path) -> WorkFolder:
@@ -42,9 +111,12 @@ def _work_of(path: Path) -> WorkFolder:
 
 def _words(result: dict[str, Any]) -> list[str]:
     """One line per run with its main figure, then what is missing."""
+    from stages.comparison.runs import CHARTED
+
     lines = []
     for run in result["runs"]:
-        seconds, leading = run["costs"]["seconds"], next(iter(run["metrics"].values()), None)
+        metrics, seconds = run["metrics"], run["costs"]["seconds"]
+        leading = next((metrics[key] for key in (*CHARTED[run["family"]], *metrics) if key in metrics), None)
         metric = f"{leading['label']} {leading['mean']:.4g} {leading['unit']}".rstrip() if leading else "not evaluated"
         mark = "*" if run["fronts"] else " "
         lines.append(f"{mark} {run['family'][:-1]:<13} {run['work']}/{run['name']}: {seconds:.0f} s, {metric}")

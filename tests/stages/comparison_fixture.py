@@ -6,7 +6,7 @@ from schemas.work_folder import Artifact, WorkFolder
 from stages.evaluation.metric_definitions import BY_KEY
 from tests.stages import evaluation_fixture as made
 
-FACTS = {"style_label": "the style image", "perceptual_net": "LPIPS (lpips-alex)"}
+FACTS = {"style_label": "the style image", "perceptual_net": "LPIPS (lpips-alex)", "style_network": "st-vgg16"}
 
 
 def fit(work: WorkFolder, scene: Artifact, name: str, seconds: float, psnr: float | None, **more) -> Artifact:

@@ -1,20 +1,24 @@
 """Evaluation of a stylized field: distances to the painting, structure kept, shape changed."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from schemas.errors import BadInput
+from schemas.errors import BadInput, UsageError
 from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
+from stages.evaluation.painted_views import options_of
 from stages.evaluation.perceptual_metrics import StyleImage, perceptual_networks, style_file
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.weights import resolve
+from stylerf.metrics.color_distribution import color_distance
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [-0.2, 0.2]
@@ -112,13 +116,20 @@ def test_metrics_of_a_stylized_field(stylized, painted):
     assert metric(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
     kept = metric(report, "content_ssim")
     assert 0.7 < kept["mean"] < kept["reference"]["the unstylized renders"] <= 1
+    edges = metric(report, "edges_kept")
+    assert edges["mean"] == pytest.approx(1, abs=0.02) and edges["count"] == 2  # other colors, the same edges
+    colors = metric(report, "color_distribution")
+    shown = [made.look(made.camera(x, "any")).rgb.reshape(-1, 3) for x in POSITIONS]
+    own = np.mean([color_distance(one.clip(0, 1), painted.reshape(-1, 3)) for one in shown])
+    assert colors["reference"]["the unstylized renders"] == pytest.approx(own, abs=0.1)
+    assert metric(report, "speckle")["mean"] < 0.002
     assert FEATURES in metric(report, "nnfm")["protocol"] and metric(report, "nnfm")["count"] == 2
     assert not {"psnr", "ssim", "lpips"} & {item["key"] for item in report["metrics"]}
     assert any("PSNR" in note["what"] for note in report["not_measured"])
     assert {made_by["stage"] for made_by in report["stages"]} == {"import", "fit", "stylize", "render"}
     page = artifact.file("report.html").read_text()
     assert "the style image" in page and page.count("<img") == 2 * 4 + 1
-    assert {record.path for record in artifact.manifest.files} >= {"charts/nnfm_views.svg"}
+    assert {record.path for record in artifact.manifest.files} >= {"charts/sifid_views.svg"}
 
 
 def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_path, painted):
@@ -137,7 +148,7 @@ def test_without_a_style_image_the_first_reference_is_compared(stylized, tmp_pat
         config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", style=style)
         report, _ = execute(evaluate.SPEC, evaluate.run, work, "r", given | {"field": field}, config, Context())
         reported[words] = json.loads(report.file("report.json").read_text())
-        for key in ("nnfm", "gram", "palette"):
+        for key in ("nnfm", "gram", "palette", "color_distribution"):
             assert metric(reported[words], key)["label"].endswith(f"distance to {words}")
             assert words in metric(reported[words], key)["protocol"]
         page = report.file("report.html").read_text()
@@ -161,3 +172,35 @@ def test_the_style_image_kept_with_the_field_is_preferred(tmp_path, stylized):
     assert style_file(EvaluateConfig(), field) == field.file("style.png")
     assert style_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
     assert style_file(EvaluateConfig(), None) is None
+
+
+def test_views_painted_in_2d_stand_beside_the_renders(stylized, tmp_path):
+    """Photo, style image, the photo stylized in 2D and the render; the painted ones are measured too."""
+    inputs, *_ = stylized
+    config = EvaluateConfig(features=FEATURES, sheet=1, perceptual="none", ceiling=4)
+    work = WorkFolder(tmp_path / "work")
+    artifact, _ = execute(evaluate.SPEC, evaluate.run, work, "r", inputs, config, Context())
+    report = json.loads(artifact.file("report.json").read_text())
+    painted = metric(report, "color_distribution")["reference"]
+    assert painted["1 view painted in 2D"] < 0.9 * painted["the unstylized renders"]
+    assert 0 < metric(report, "edges_kept")["reference"]["1 view painted in 2D"] <= 1
+    page = artifact.file("report.html").read_text()
+    captions = re.findall(r"<figcaption>([^<]*)</figcaption></figure>", page[page.index('class="sheet"') :])[:4]
+    assert captions[:3] == ["photo", "the style image", "painted in 2D"] and captions[3].startswith("stylized")
+
+
+def test_a_ceiling_needs_a_style_image(stylized):
+    inputs, *_ = stylized
+    with pytest.raises(UsageError, match="name one with --style"):
+        evaluate.pinned(EvaluateConfig(ceiling=5, perceptual="none"), inputs["base_frames"])
+    with pytest.raises(ValueError, match="--ceiling -1: expected at least 0"):
+        EvaluateConfig(ceiling=-1)
+
+
+def test_what_paints_is_what_stylized(tmp_path):
+    """The options of the field that concern images are those of its views in 2D."""
+    made_with = {"method": "desrf", "style_scale": 2.5, "match_by": "nearest", "budget": "30s", "unheard_of": 1}
+    field = made.make_field(WorkFolder(tmp_path), "bent", "stylize", {}, config=made_with)
+    found = options_of(field, Path("other.png"))
+    assert (found.style, found.style_scale, found.match_by) == ("other.png", 2.5, "nearest")
+    assert options_of(None, Path("other.png")).style_scale == type(found).style_scale

@@ -2,9 +2,13 @@
 
 import csv
 import json
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stylerf_cli.main import main
 from tests.stages import comparison_fixture as runs
@@ -77,3 +81,63 @@ def test_leftovers_of_a_killed_comparison_are_deleted(work):
         path.write_text("half")
     assert main(["compare", str(work.root), "--quiet"]) == 0
     assert not any(path.exists() for path in left) and (out / "charts" / "fits_seconds.svg").is_file()
+
+
+@pytest.fixture
+def stylized(tmp_path):
+    """Two stylizations of one scene by one style image, in red and in blue, with their frames."""
+    work = WorkFolder(tmp_path / "room")
+    scene = made.make_scene(work, [0.0, 0.1], depth=False)
+    base = runs.fit(work, scene, "fit", 10.0, None)
+    write_png(tmp_path / "starry.png", np.full((20, 30, 3), 90, np.uint8))
+    for name, tint, sifid in (("red", (1, 0.2, 0.2), 1.0), ("blue", (0.2, 0.2, 1), 2.0)):
+        config = {"style": str(tmp_path / "starry.png"), "method": name}
+        field = runs.stylized(work, scene, base, name, 20.0, {"sifid": sifid, "edges_kept": 0.5}, **config)
+        cameras = [made.camera(x, f"photo_{i:02d}") for i, x in enumerate((0.0, 0.1))]
+        seen = [replace(one, rgb=one.rgb * np.float32(tint)) for one in map(made.look, cameras)]
+        made.make_frames(work, f"{name}-test", "test", cameras, seen, field)
+    return work
+
+
+def test_votes_on_a_page_of_pairs_are_counted(stylized, tmp_path, capsys):
+    root = str(stylized.root)
+    assert main(["compare", root, "--pairs", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    key = json.loads((stylized.root / "comparison" / "pairs" / f"{Path(told['key']).stem}.json").read_text())
+    assert told["pairs"] == 2 and Path(told["page"]).is_file() and {*key["pairs"]} == {"0", "1"}
+    labels = [one["label"] for one in key["contenders"]]
+    choices = ["left" if labels[pair["left"]] == "red" else "right" for pair in key["pairs"].values()]
+    votes = [{"pair": number, "choice": choice, "seconds": 1} for number, choice in enumerate(choices)]
+    files = [tmp_path / "one.json", tmp_path / "two.json"]
+    for people, path in enumerate(files):
+        votes[1] |= {"choice": "same"} if people else {}
+        path.write_text(json.dumps({"format": "stylerf votes", "version": 1, "page": key["page"], "votes": votes}))
+    assert main(["compare", root, "--votes", *map(str, files)]) == 0
+    words = capsys.readouterr().out
+    assert "4 votes" in words and "red: won 3 of 3, 100% (44% to 100%), 1 the same" in words
+    assert "blue: won 0 of 3, 0% (0% to 56%), 1 the same" in words
+    assert "SIFID-style distance, st-vgg16: 3 of 3" in words and "Edges" not in words  # equal edges decide nothing
+    page = (stylized.root / "comparison" / "votes.html").read_text()
+    assert "room, starry.png" in page and "1.000" in page and "2.000" in page
+    kept = json.loads((stylized.root / "comparison" / "votes.json").read_text())
+    assert kept["votes"] == 4 and kept["agreement"][0]["won"] == 3
+    assert main(["verify", root, "--quiet"]) == 0  # nothing of it is an artifact
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--pairs", "--votes", "a.json"], 2, "give one of them"),
+        (["--most", "5"], 2, "add --pairs"),
+        (["--of", "red"], 2, "add --pairs"),
+        (["--pairs", "--most", "0"], 2, "--most 0: expected 1 to"),
+        (["--pairs", "--of", "green"], 2, "--of green: no such stylization"),
+        (["--pairs", "--of", "red"], 4, "no two stylizations"),
+        (["--votes", "gone.json"], 3, "gone.json: no such file"),
+    ],
+)
+def test_pairs_and_votes_that_cannot_be_are_refused(stylized, capsys, arguments, code, words):
+    assert main(["compare", str(stylized.root), *arguments]) == code
+    told = capsys.readouterr().err
+    assert words in told and "Traceback" not in told
+    assert not (stylized.root / "comparison" / "pairs.html").exists()

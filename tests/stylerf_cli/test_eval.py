@@ -83,7 +83,7 @@ def test_other_networks_measure_again(work, renderer, capsys, monkeypatch):
     for number in (1, 2):
         result(capsys, work.root)
         assert work.get("report", "wall").manifest.config["networks"] == f"n{number}"
-    assert requested == [(False, False, "")] * 2
+    assert [given[:3] for given in requested] == [(False, False, "")] * 2
 
 
 def test_missing_and_outdated_frames_are_rendered(work, renderer, capsys):

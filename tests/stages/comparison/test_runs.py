@@ -9,11 +9,11 @@ from schemas import partial_artifact
 from schemas.work_folder import WorkFolder
 from stages.comparison.page import build_page, comparison_charts, group_style, rows_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
-from stages.comparison.runs import EDITS, FITS, STYLIZATIONS, runs_of, thread_mismatches
+from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, runs_of, thread_mismatches
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
 
-STYLE = {"nnfm": 0.3, "content_ssim": 0.5, "short_rmse": 0.02, "long_rmse": 0.04}
+STYLE = {"sifid": 0.3, "edges_kept": 0.5, "short_rmse": 0.02, "long_rmse": 0.04}
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def work(tmp_path):
     inputs = {"scene": scene, "field": small}
     deformed = made.make_field(work, "bent", "deform_init", inputs, seconds=7.0, peak_memory_mb=2000)
     runs.stylized(work, scene, small, "starry-arf", 20.0, STYLE)
-    runs.stylized(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"nnfm": 0.2}, method="desrf")
+    runs.stylized(work, scene, deformed, "starry-desrf", 30.0, STYLE | {"sifid": 0.2}, method="desrf")
     edit = {"background_mse": 0.001, "bleeding": 0.1, "sparsity": 0.5, "short_rmse": 0.01, "edit_short_rmse": 0.03}
     runs.edited(work, scene, small, "cup", (1.0, 2.0, 4.0, 8.0), edit)
     return work
@@ -179,9 +179,9 @@ def test_fronts_are_those_of_the_group(work):
     assert fronts["room/fit-10s"] == ["psnr/seconds", "psnr/parameters"]
     assert fronts["room/fit-60s"] == []
     assert fronts["room/fit-300s"] == ["psnr/seconds", "psnr/peak_memory_mb", "psnr/parameters"]
-    panel = panel_of([run for run in by_name.values() if run.family == STYLIZATIONS], "nnfm", "seconds")
+    panel = panel_of([run for run in by_name.values() if run.family == STYLIZATIONS], "sifid", "seconds")
     assert [[run.name for run in front] for front in panel.fronts] == [["starry-arf", "starry-desrf"]]
-    assert panel_of(some, "nnfm", "seconds") is None
+    assert panel_of(some, "sifid", "seconds") is None
 
 
 def test_scenes_and_protocols_do_not_share_a_front(work, tmp_path):
@@ -251,7 +251,7 @@ def test_different_thread_counts_give_a_remark(tmp_path):
 def test_what_is_missing_is_named_with_its_command(work):
     scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
     runs.fit(work, scene, "unseen", 11.0, None)
-    runs.stylized(work, scene, base, "half", 20.0, {"nnfm": 0.4, "content_ssim": 0.2}, budget="20s")
+    runs.stylized(work, scene, base, "half", 20.0, {"sifid": 0.4, "edges_kept": 0.2}, budget="20s")
     runs.edited(work, scene, base, "plain", (1.0, 1.0, 1.0, 1.0), {"sparsity": 1.0})
     made.make_field(work, "nameless", "nerf_fit", {"scene": scene}, peak_memory_mb=1.0)
     _, gaps = found(work)
@@ -294,3 +294,10 @@ def test_charts_page_and_table_agree(work):
     row = next(row for row in rows if row["name"] == "cup")
     assert (row["seconds"], row["background_mse"], row["group"]) == (15.0, 0.001, "room, cup")
     assert next(row for row in rows if row["name"] == "fit-10s")["fronts"] == "psnr/seconds psnr/parameters"
+
+
+def test_no_charted_figure_of_stylizations_is_one_that_a_method_minimizes():
+    """ARF minimizes the NNFM distance, SNeRF the Gram distance; color matching fits palette_mean and _covariance."""
+    minimized = {"nnfm", "gram", "palette", "palette_mean", "palette_covariance"}
+    assert not minimized & {*CHARTED[STYLIZATIONS]}
+    assert next(iter(CHARTED[STYLIZATIONS])) == "sifid"

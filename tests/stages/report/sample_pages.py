@@ -19,6 +19,7 @@ from stages.stress import page as stress_page
 from stages.stress.baseline import Compared
 from stages.stress.outcomes import cells_of
 from stages.stress.page import heat_map
+from tests.stages.comparison_fixture import FACTS
 from tests.stages.stress_fixture import outcome
 
 REPORT = {
@@ -76,7 +77,7 @@ def runs() -> list[Run]:
         for i in range(3):
             metrics = {
                 key: RunMetric(
-                    0.2 + i / 10, BY_KEY[key].label.replace("{style_label}", "the style image"), BY_KEY[key].unit,
+                    0.2 + i / 10, BY_KEY[key].label.format_map(FACTS), BY_KEY[key].unit,
                     BY_KEY[key].better, f"protocol {i // 2 if family == FITS else 0}", 3, 0,
                 )
                 for key in CHARTED[family]
@@ -93,7 +94,7 @@ def runs() -> list[Run]:
 
 
 def comparison() -> str:
-    fronts = {run.title: ["psnr/seconds", "nnfm/seconds"] if run.name.endswith("0") else [] for run in runs()}
+    fronts = {run.title: ["psnr/seconds", "sifid/seconds"] if run.name.endswith("0") else [] for run in runs()}
     gaps = [Gap("lego/fit: psnr", "Not in its report; run: stylerf eval /somewhere/rather/deep/in/a/file/system/lego")]
     return comparison_page.build_page(runs(), comparison_charts(runs()), gaps, fronts)
 

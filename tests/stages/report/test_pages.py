@@ -114,7 +114,7 @@ def test_templates_are_package_data():
     settings = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]
     folder = root / "stages" / "report"
     packed = {path for pattern in settings["package-data"]["stages.report"] for path in folder.glob(pattern)}
-    assert packed == {path for path in folder.rglob("*") if path.is_file() and path.suffix in (".html", ".css")}
+    assert packed == {path for path in folder.rglob("*") if path.is_file() and path.suffix in (".html", ".css", ".js")}
 
 
 def test_a_template_that_lacks_a_value_is_an_error():
