@@ -70,7 +70,7 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=7, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=8, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
     "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "content_ssim"
 )  # fmt: skip
@@ -298,7 +298,7 @@ class Evaluation:
         style, label, thumbnail = self.perceptual.style_image, self.perceptual.style_label, None
         if style:
             alt = f"{label[:1].upper()}{label[1:]} {self.perceptual.style_name}"
-            thumbnail = Picture(style.image, label, alt)
+            thumbnail = Picture(style.on_white, label, alt)
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
         for index, word in chosen_views(self.rows, key, self.config.sheet):
             render = self.frames.render(index)

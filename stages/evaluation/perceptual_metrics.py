@@ -11,7 +11,7 @@ from torch import Tensor
 
 from schemas.errors import BadInput, UsageError
 from schemas.work_folder import Artifact
-from stages.artifacts.style_images import read_colors
+from stages.artifacts.style_images import read_shown
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
 from stages.evaluation.view_metrics import Score
 from stages.run.progress import Context
@@ -20,9 +20,10 @@ from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
-from stylerf.style.feature_extractor import FeatureExtractor, fitted
+from stylerf.style.feature_extractor import FeatureExtractor, by_block, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
-from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
+from stylerf.style.style_features import style_features
+from stylerf.style.style_objective import gram_matrix, nearest_neighbor_distance, position_weights
 
 LAYERS = "conv3"  # conv3_1 to conv3_3 concatenated, as in ARF
 # SIFID takes its features just before the second pooling; of a network that no objective used, so that it judges.
@@ -106,7 +107,7 @@ class StyleImage:
     """
 
     def __init__(self, image: np.ndarray, features: str, side: int, device: str) -> None:
-        """image: [h, w, 3] sRGB 0..1."""
+        """image: [h, w, 3] sRGB 0..1; [h, w, 4] if parts are transparent, which do not count."""
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
         self.network_name, self.network_source = found.name, found.source
@@ -116,6 +117,11 @@ class StyleImage:
         self.judge_name = judge.name
         self._judge = FeatureExtractor(judge.state, self.judge_layer, judge.kind).to(device)
         self._features_by_side: dict[int, StyleFeatures] = {}
+
+    @property
+    def on_white(self) -> np.ndarray:
+        """[h, w, 3], transparent parts white."""
+        return self.image if self.image.shape[2] == 3 else np.where(self.image[..., 3:] > 0, self.image[..., :3], 1.0)
 
     @property
     def protocol(self) -> str:
@@ -151,7 +157,9 @@ class StyleImage:
 
     def _at(self, side: int) -> StyleFeatures:
         if side not in self._features_by_side:
-            fine, found = self._features(fitted(_batch(self.image, self.device)[0], side))
+            picture = fitted(_batch(self.image, self.device)[0], side)
+            (found,) = style_features(self.extractor, picture, limited=False).values()
+            (fine,) = style_features(self._judge, picture, limited=False).values()
             everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
             self._features_by_side[side] = StyleFeatures(
                 style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
@@ -201,7 +209,7 @@ class PerceptualMetrics:
         path = style_file(config, field)
         if path is None:
             return cls(st_lpips, lpips, None, "")
-        style_image = StyleImage(read_colors(path), config.features, config.style_side, context.device)
+        style_image = StyleImage(read_shown(path), config.features, config.style_side, context.device)
         context.progress.say(f"style distances to {path.name} use the features of {style_image.network_name}")
         return cls(st_lpips, lpips, style_image, path.name, style_label(config, field))
 
