@@ -106,7 +106,9 @@ def flag() -> np.ndarray:
 FRAMELESS = {
     "painting": painting,
     "dark painting with dark edges": lambda: painting() * np.clip(INWARD / 60, 0, 1)[..., None],
-    "vignette": lambda: painting() * np.clip(1.3 - np.hypot((ROWS - 120) / 120, (COLUMNS - 160) / 160), 0, 1)[..., None],
+    "vignette": lambda: (
+        painting() * np.clip(1.3 - np.hypot((ROWS - 120) / 120, (COLUMNS - 160) / 160), 0, 1)[..., None]
+    ),
     "mosaic": mosaic,
     "stripes": lambda: repeated((COLUMNS // 10 % 2).astype(float)),
     "checks": lambda: repeated(((ROWS // 20 + COLUMNS // 20) % 2).astype(float)),

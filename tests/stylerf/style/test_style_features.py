@@ -42,7 +42,8 @@ def test_small_strokes_fill_the_same_area_without_a_seam():
 def test_the_default_is_the_whole_image_at_its_old_size():
     extractor, style = small_trunk(), picture(30, 40, 1)
     found = style_features(extractor, stroke_picture(style, 40))
-    for block, feature in zip(("conv1", "conv2"), [extractor(style[None])[0], torch.cat(extractor(style[None])[1:], 1)]):
+    first, *second = extractor(style[None])
+    for block, feature in {"conv1": first, "conv2": torch.cat(second, 1)}.items():
         assert torch.equal(found[block], feature[0])
 
 
