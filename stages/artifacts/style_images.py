@@ -70,7 +70,7 @@ def read_style_image(
     Args:
         path: Any image.
         keep_frame: Leave a painting's frame, or the paper around it, in place (see style/frame.py).
-        say: Told in one line what is left out.
+        say: Called with a line that says what is left out.
         crop: x, y, size: use this square of the image, as it is.
 
     Returns:
