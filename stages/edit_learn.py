@@ -22,16 +22,16 @@ from stages.run.training_loop import resumed, run_training
 from stages.weights.resolve import digests_of_files, resolve
 from stylerf.editing.extraction import EditView
 from stylerf.editing.palette_losses import EditWeights
-from stylerf.editing.region_style import crop_of
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.color_matching import match_colors
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.transparency import shown_colors
 from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
-SPEC = Spec(stage="edit_learn", verb="stylize", revision=5, writes="edit", outside=digests_of_files)
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=6, writes="edit", outside=digests_of_files)
 
 
 def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -44,7 +44,7 @@ def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifac
     if config.style:
         resolved = resolve(config.features or None)
         context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-        style_image = cropped(config)
+        style_image = read_style_image(Path(config.style), config.keep_frame, context.progress.say, config.crop)
         extractor = FeatureExtractor(resolved.state, config.layers, resolved.kind).to(device or "cpu")
         features = resolved.manifest()
         if config.match and not config.keep_colors:
@@ -94,6 +94,7 @@ def settings_of(config: EditConfig) -> EditSettings:
             smooth=config.smooth_weight,
         ),
         style_side=config.style_side,
+        stroke=config.stroke,
         keep_colors=config.keep_colors,
         **({} if config.pruned_steps < 0 else pruned),
     )
@@ -106,22 +107,13 @@ def in_style_colors(views: list[EditView], style_image: torch.Tensor, seed: int)
     blind to hue: a yellow shovel came out in yellow strokes.
     """
     colors = sampled_colors(views, np.random.default_rng([seed, 6]))
-    matching = match_colors(torch.from_numpy(colors), style_image.flatten(1).T)
+    matching = match_colors(torch.from_numpy(colors), shown_colors(style_image).flatten(1).T)
     matched = []
     for view in views:
         new = matching(torch.from_numpy(view.target)).clamp(0, 1).numpy().astype(np.float32)
         own = view.transition[:, None]
         matched.append(replace(view, target=own * view.target + (1 - own) * new))
     return matched
-
-
-def cropped(config: EditConfig) -> torch.Tensor:
-    """The style image or its crop, [3, h, w] sRGB 0..1; transparency counts as white."""
-    style_image = read_style_image(Path(config.style))
-    try:
-        return crop_of(style_image, *config.crop) if config.crop else style_image
-    except InvalidValue as error:
-        raise BadInput(f"{config.style}: {error}") from error
 
 
 def drawn(trainer: EditTrainer, view: EditView, threads: int) -> np.ndarray:

@@ -344,7 +344,7 @@ class Evaluation:
         style, label, thumbnail = self.perceptual.style_image, self.perceptual.style_label, None
         if style:
             alt = f"{label[:1].upper()}{label[1:]} {self.perceptual.style_name}"
-            thumbnail = Picture(style.image, label, alt)
+            thumbnail = Picture(style.on_white, label, alt)
         sheet = ContactSheet(thumbnail, self.stylized, edited=self.edit is not None)
         for index, word in self._shown():
             render = self.frames.render(index)

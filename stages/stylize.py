@@ -12,7 +12,14 @@ from stages.artifacts.field import load_deformation, load_field, save_deformatio
 from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
-from stages.artifacts.style_images import chosen_view, decoded_reference, digest_of, read_references, read_style_image
+from stages.artifacts.style_images import (
+    chosen_view,
+    decoded_reference,
+    digest_of,
+    read_colors,
+    read_references,
+    read_style_image,
+)
 from stages.configs.stylize import DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.views import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
@@ -72,7 +79,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     torch.set_num_threads(threads)
     resolved = resolve(config.features or None)
     context.progress.say(f"features: {resolved.name}, from {resolved.source}")
-    style_image = read_style_image(Path(config.style or file_of(config.references[0])[1]))
+    style_image = _style_image(config, context)
     device = gpu_of(context)
     try:
         level = level_of(background)
@@ -109,6 +116,13 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         **gpu_figures(device),
         **scene.exposure_figures,
     }
+
+
+def _style_image(config: StylizeConfig, context: Context) -> torch.Tensor:
+    """The style image [3 or 4, h, w], or in its place the first reference [3, h, w]."""
+    if config.style:
+        return read_style_image(Path(config.style), config.keep_frame, context.progress.say)
+    return torch.from_numpy(read_colors(file_of(config.references[0])[1])).permute(2, 0, 1).contiguous()
 
 
 def _finest(color: ColorPart) -> int | None:
@@ -180,7 +194,9 @@ def _method(
         references = {view: None}
         if config.reference_by == "adain" and problem.style_image is not None:
             photo = problem.photos[view]
-            references[view] = decoded_reference(photo, problem.style_image, config.style_scale, device or "cpu")
+            references[view] = decoded_reference(
+                photo, problem.style_image, config.style_scale, config.stroke, device or "cpu"
+            )
     matching = extractor(reference_layers(config, resolved.state))
     coarse = extractor(coarse_layers(resolved.state))
     return RefNpr(StyledScene(problem, color), own, references, matching, coarse)

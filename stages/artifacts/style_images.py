@@ -1,7 +1,7 @@
 """Reads style images and references (Ref-NPR): stylized views, from files or made of a photo at once."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +16,18 @@ from stages.configs.stylize import RefNprConfig
 from stages.configs.views import file_of
 from stages.weights.resolve import resolve, resolve_decoder
 from stylerf.editing.edit_grid import Region
+from stylerf.editing.region_style import crop_of
+from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.ray_registration import best_reference, few_points
-from stylerf.style.feature_extractor import FeatureExtractor, resized, style_picture
+from stylerf.style.feature_extractor import FeatureExtractor, resized
+from stylerf.style.frame import frame_of
 from stylerf.style.image_stylization import Decoder, adain_picture
+from stylerf.style.style_features import stroke_picture
+from stylerf.style.transparency import without_hidden_colors
+
+SMALLEST_SIDE = 16  # pixels of a style image
 
 
 def read_colors(path: Path) -> np.ndarray:
@@ -31,13 +38,60 @@ def read_colors(path: Path) -> np.ndarray:
     return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
 
 
-def read_style_image(path: Path) -> torch.Tensor:
-    """[3, h, w] float32 sRGB 0..1; transparent parts of a style image count as white."""
-    pixels = read_colors(path)
-    if min(pixels.shape[:2]) < 16:
+def read_shown(path: Path, crop: tuple[int, ...] = ()) -> np.ndarray:
+    """[h, w, 3] float32 sRGB 0..1; of an image with transparent parts [h, w, 4], see without_hidden_colors.
+
+    Args:
+        path: Any image.
+        crop: x, y, size: read this square alone.
+
+    Raises:
+        BadInput: No image, one that is transparent everywhere, or a crop that does not fit.
+    """
+    pixels = read_srgb(path).pixels
+    try:
+        if crop:
+            pixels = crop_of(torch.from_numpy(pixels).permute(2, 0, 1), *crop).permute(1, 2, 0).numpy()
+        if pixels.shape[2] == 4:
+            return without_hidden_colors(pixels)
+    except InvalidValue as error:
+        raise BadInput(f"{path}: {error}") from error
+    return np.repeat(pixels, 3, axis=2) if pixels.shape[2] == 1 else pixels
+
+
+def read_style_image(
+    path: Path,
+    keep_frame: bool = False,
+    say: Callable[[str], object] = lambda text: None,
+    crop: tuple[int, ...] = (),
+) -> torch.Tensor:
+    """Read a style image without its frame and what it hides.
+
+    Args:
+        path: Any image.
+        keep_frame: Leave a painting's frame, or the paper around it, in place (see style/frame.py).
+        say: Called with a line that says what is left out.
+        crop: x, y, size: use this square of the image, as it is.
+
+    Returns:
+        [3, h, w] float32 sRGB 0..1; [4, h, w], with an alpha of 0 or 1, if parts are transparent.
+
+    Raises:
+        BadInput: No image, a transparent one, one of less than 16 pixels a side, or a crop that does not fit.
+    """
+    pixels = read_shown(path, crop)
+    if not (keep_frame or crop) and pixels.shape[2] == 3 and (frame := frame_of(pixels)):
+        say(f"{path.name}: left out a frame of {frame}; --keep-frame keeps it")
+        pixels = frame.without(pixels)
+    if min(pixels.shape[:2]) < SMALLEST_SIDE:
         raise BadInput(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least 16 pixels a side is needed"
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least {SMALLEST_SIDE} pixels a side "
+            "is needed"
         )
+    return _tensor(pixels)
+
+
+def _tensor(pixels: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
 
@@ -51,7 +105,7 @@ def digest_of(references: Sequence[str]) -> str:
         view, path = file_of(text)
         if not path.is_file():
             raise BadInput(f"--reference {text}: there is no such image")
-        read_style_image(path)
+        read_colors(path)
         total.update(f"{view}={file_sha256(path)}\n".encode())
     return total.hexdigest() if references else ""
 
@@ -71,7 +125,7 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
         name, file = file_of(text)
         place = training_view(scene, name, f"--reference {text}")
         camera = scene.cameras[scene.splits["train"][place]]
-        picture = read_style_image(file)
+        picture = _tensor(read_colors(file))
         height, width = picture.shape[1:]
         if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
             raise BadInput(
@@ -115,12 +169,16 @@ def check_references(scene: SceneData, config: RefNprConfig) -> None:
         resolve("vgg19-wct")
 
 
-def decoded_reference(photo: np.ndarray, style_image: torch.Tensor, scale: float, device: str) -> np.ndarray:
-    """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here."""
+def decoded_reference(
+    photo: np.ndarray, style_image: torch.Tensor, scale: float, stroke: float, device: str
+) -> np.ndarray:
+    """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here.
+
+    scale: of the style image, relative to the photo. stroke: size of its strokes, relative to that.
+    """
     decoder, found = resolve_decoder(), resolve("vgg19-wct")
     extractor = FeatureExtractor(found.state, "conv3_1", found.kind).to(device)
     there = torch.from_numpy(photo).permute(2, 0, 1).contiguous().to(device)
-    height, width = photo.shape[:2]
-    picture = style_picture(style_image, height, width, scale).to(device)
+    picture = stroke_picture(style_image, max(1, round(max(photo.shape[:2]) * scale)), stroke).to(device)
     made = adain_picture(extractor, Decoder(decoder.state).to(device), there, picture)
     return made.permute(1, 2, 0).contiguous().cpu().numpy()

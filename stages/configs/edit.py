@@ -22,10 +22,12 @@ class ExtractConfig:
 
 
 STYLE_ONLY = (
-    "crop", "match", "keep_colors", "style_steps", "style_weight", "style_side", "variation_weight", "edge_weight",
+    "crop", "keep_frame", "stroke", "match", "keep_colors", "style_steps", "style_weight", "style_side",
+    "variation_weight", "edge_weight",
     "smooth_weight", "features", "layers",
 )  # fmt: skip
 LOSS, STEPS = "loss", "training"
+STROKES = (0.25, 4.0)  # smallest and largest --stroke
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,8 @@ class EditConfig:
     style: str = option("", help="the style image", digest="style_digest")
     style_digest: str = ""  # sha256 of the style image
     crop: tuple[int, ...] = option((), metavar="N", help="x y size: use this square of the style image")
+    keep_frame: bool = option(False, help="use the style image with the frame or paper around it")
+    stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
     keep_colors: bool = option(False, help="the style image's strokes in the region's colors")
     colors: int = option(8, help="palette colors at the beginning")
     max_colors: int = option(5, help="most palette colors at the end")
@@ -80,6 +84,10 @@ class EditConfig:
             raise ValueError("palette_steps and style_steps must be at least 0, pruned_steps at least 0, or -1")
         if self.crop and (len(self.crop) != 3 or min(self.crop) < 0 or self.crop[2] < 16):
             raise ValueError("crop takes x, y and a size of at least 16 pixels")
+        if self.crop and self.keep_frame:
+            raise ValueError("--crop uses its square as it is; leave --keep-frame out")
+        if not STROKES[0] <= self.stroke <= STROKES[1]:
+            raise ValueError(f"stroke must be in {STROKES[0]}..{STROKES[1]}")
         if not 1 <= self.max_colors <= self.colors <= 16:
             raise ValueError("colors must be 1 to 16, max_colors 1 to colors")
         if budget_of(self.budget)[1]:

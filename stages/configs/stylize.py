@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 from stages.configs import advanced, option
+from stages.configs.edit import STROKES
 from stages.configs.fit import budget_of
 from stages.configs.views import file_of
 
@@ -50,7 +51,9 @@ class StylizeConfig:
     structure_weight: float = option(
         -1.0, help="weight of the photo's edges that are missing (-1: 3; nearest, gram, refnpr, deformed objects: 0)"
     )
-    style_scale: float = option(1.5, help="size of the style image relative to the view: larger gives larger strokes")
+    stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
+    rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
+    keep_frame: bool = option(False, help="use the style image with the frame or paper around it")
     match: str = option(
         "auto",
         choices=("auto", "both", "before", "after", "none"),
@@ -58,6 +61,9 @@ class StylizeConfig:
     )
     keep_colors: bool = option(False, help="the style image's strokes in the photos' colors")
     rate: float = option(3e-2, help="learning rate of the colors")
+    style_scale: float = advanced(
+        1.5, LOSS, help="size of the style image relative to the view; --stroke scales it from there"
+    )
     layers: str = advanced(
         "",
         LOSS,
@@ -122,6 +128,10 @@ class StylizeConfig:
             raise ValueError("--min-spread limits color matching, and no colors are matched; leave it out")
         if not 0 <= self.feature_scale <= 1 or self.style_scale <= 0:
             raise ValueError("feature_scale must be in 0..1, style_scale > 0")
+        if not STROKES[0] <= self.stroke <= STROKES[1]:
+            raise ValueError(f"stroke must be in {STROKES[0]}..{STROKES[1]}")
+        if self.references:
+            self._refuse_style_image()
         if self.refit_steps < 0 or self.rate <= 0 or self.style_rows < 1 or self.style_basis < 0:
             raise ValueError("refit_steps and style_basis must not be negative, rate > 0, style_rows at least 1")
         if self.rollbacks < 0 or self.gradient_clip < 0 or not 0 <= self.min_spread <= 0.25:
@@ -144,6 +154,14 @@ class StylizeConfig:
     def _refuse_matching(self, beside: str) -> None:
         if (self.match_by, self.diversity) != (StylizeConfig.match_by, StylizeConfig.diversity):
             raise ValueError(f"--match-by and --diversity have no effect with {beside}; leave them out")
+        if self.rotations:
+            raise ValueError(f"--rotations has no effect with {beside}; leave it out")
+
+    def _refuse_style_image(self) -> None:
+        if self.stroke != StylizeConfig.stroke:
+            raise ValueError("--stroke has no effect with --reference; leave it out")
+        if self.keep_frame and not self.style:
+            raise ValueError("--keep-frame is of the style image, and --reference gives none; leave it out")
 
     def _check_weights(self, *names: str) -> None:
         for name in names:

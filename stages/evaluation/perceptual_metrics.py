@@ -12,7 +12,7 @@ from torch import Tensor
 
 from schemas.errors import BadInput, UsageError
 from schemas.work_folder import Artifact
-from stages.artifacts.style_images import read_colors
+from stages.artifacts.style_images import read_shown
 from stages.configs.evaluate import SMALLEST_SIDE, EvaluateConfig
 from stages.evaluation.judge import Judge, judge_beside, networks_that_stylized
 from stages.evaluation.view_metrics import Score
@@ -24,9 +24,10 @@ from stylerf.metrics.flow_consistency import ImageDistance
 from stylerf.metrics.frechet import Moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.metrics.speckle import speckle
-from stylerf.style.feature_extractor import FeatureExtractor, fitted
+from stylerf.style.feature_extractor import FeatureExtractor, by_block, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
-from stylerf.style.style_objective import by_block, gram_matrix, nearest_neighbor_distance, position_weights
+from stylerf.style.style_features import style_features
+from stylerf.style.style_objective import gram_matrix, nearest_neighbor_distance, position_weights
 
 LAYERS = "conv3"  # conv3_1 to conv3_3 concatenated, as in ARF
 
@@ -116,7 +117,8 @@ class StyleImage:
     def __init__(
         self, image: np.ndarray, features: str, side: int, device: str, field: Artifact | None = None
     ) -> None:
-        """image: [h, w, 3] sRGB 0..1. field: what is measured; the judge is no network that stylized it."""
+        """image: [h, w, 3] sRGB 0..1; [h, w, 4] if parts are transparent, which do not count. field: what is measured;
+        the judge is no network that stylized it."""
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
         self.network_name, self.network_source = found.name, found.source
@@ -125,6 +127,11 @@ class StyleImage:
         self._judging = FeatureExtractor(self.judge.network.state, self.judge.layer, self.judge.network.kind).to(device)
         self._features_by_side: dict[int, StyleFeatures] = {}
         self._speckle_by_side: dict[int, float] = {}
+
+    @property
+    def on_white(self) -> np.ndarray:
+        """[h, w, 3], transparent parts white."""
+        return self.image if self.image.shape[2] == 3 else np.where(self.image[..., 3:] > 0, self.image[..., :3], 1.0)
 
     @property
     def protocol(self) -> str:
@@ -156,13 +163,15 @@ class StyleImage:
     @functools.cached_property
     def colors(self) -> np.ndarray:
         """Quantiles of its colors, for the distance of color distributions."""
-        return color_quantiles(self.image.reshape(-1, 3))
+        if self.image.shape[2] == 3:
+            return color_quantiles(self.image.reshape(-1, 3))
+        return color_quantiles(self.image[self.image[..., 3] > 0][:, :3])
 
     def speckle(self, side: int) -> float:
         """Its speckle at `side` pixels on the longer side, or at its own size if smaller."""
         side = min(side, max(self.image.shape[:2]))
         if side not in self._speckle_by_side:
-            scaled = fitted(_batch(self.image, "cpu")[0], side).clamp(0, 1)
+            scaled = fitted(_batch(self.on_white, "cpu")[0], side).clamp(0, 1)
             self._speckle_by_side[side] = speckle(scaled.permute(1, 2, 0).numpy())
         return self._speckle_by_side[side]
 
@@ -173,7 +182,9 @@ class StyleImage:
 
     def _at(self, side: int) -> StyleFeatures:
         if side not in self._features_by_side:
-            fine, found = self._features(fitted(_batch(self.image, self.device)[0], side))
+            picture = fitted(_batch(self.image, self.device)[0], side)
+            (found,) = style_features(self.extractor, picture, limited=False).values()
+            (fine,) = style_features(self._judging, picture, limited=False).values()
             everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
             self._features_by_side[side] = StyleFeatures(
                 style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
@@ -213,7 +224,7 @@ class PerceptualMetrics:
         path = style_file(config, field)
         if path is None:
             return cls(st_lpips, lpips, None, "")
-        style_image = StyleImage(read_colors(path), config.features, config.style_side, context.device, field)
+        style_image = StyleImage(read_shown(path), config.features, config.style_side, context.device, field)
         context.progress.say(f"style distances to {path.name} use the features of {style_image.network_name}")
         return cls(st_lpips, lpips, style_image, path.name, style_label(config, field))
 

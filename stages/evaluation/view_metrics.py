@@ -96,11 +96,13 @@ def _depth_values(render: Render, truth: np.ndarray) -> tuple:
 
 
 def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style_image: np.ndarray) -> None:
-    """Compare an image's colors, where alpha > 0.5, with those of the style image [h, w, 3]."""
+    """Compare an image's colors, where alpha > 0.5, with those of the style image [h, w, 3 or 4]."""
     keys = ("palette", "palette_mean", "palette_covariance", "colorfulness")
 
     def distances() -> tuple:
-        own, wanted = image[alpha > 0.5], style_image.reshape(-1, 3)
+        own, wanted = image[alpha > 0.5], style_image[..., :3].reshape(-1, 3)
+        if style_image.shape[2] == 4:
+            wanted = wanted[style_image[..., 3].ravel() > 0.5]
         found, most = palette_distance(own, wanted), colorfulness(wanted)
         return found.frechet, found.mean, found.covariance, colorfulness(own) / most if most > 0 else None
 

@@ -244,7 +244,7 @@ def learned_edit(
 def pinned_look(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     """Check the style image of a region's look; return the options with digests, and a name for the edit."""
     from schemas.canonical_json import file_sha256
-    from stages import edit_learn
+    from stages.artifacts.style_images import read_style_image
     from stages.weights.resolve import chosen
 
     if not config.style:
@@ -252,7 +252,7 @@ def pinned_look(config: RegionConfig, region: str) -> tuple[RegionConfig, str]:
     style = style_file(config.style)
     features: dict[str, Any] = chosen(config.features)
     config = replace(config, style=str(style.resolve()), style_digest=file_sha256(style), **features)
-    edit_learn.cropped(config.learning)
+    read_style_image(style, config.keep_frame, crop=config.crop)
     return config, f"{region}-{name_of(style)}"
 
 

@@ -74,7 +74,7 @@ def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     if not config.style:
         return config, name_of(pairs[0][1])
     style = style_file(config.style)
-    read_style_image(style)
+    read_style_image(style, config.keep_frame)
     return replace(config, style=str(style.resolve()), style_digest=file_sha256(style)), name_of(style)
 
 

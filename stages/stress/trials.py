@@ -331,7 +331,7 @@ class Stress:
             field = self._execute(trial, stylize, inputs, config, f"{trial.fault.name}-{trial.label}")
         views = view_pairs(scene, field, threads)
         if method.style:
-            style = read_style_image(self.style_image(trial)[0]).permute(1, 2, 0).numpy()
+            style = read_style_image(self.style_image(trial)[0])[:3].permute(1, 2, 0).numpy()
             verdict = criteria.judge_style(views, style)
         else:
             verdict = criteria.judge_fit(views)

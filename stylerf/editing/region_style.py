@@ -10,11 +10,13 @@ from torch import Tensor
 from stylerf.editing.extraction import EditView
 from stylerf.errors import InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor, fitted
+from stylerf.style.style_features import stroke_picture
 from stylerf.style.style_objective import gram_distance, gram_matrix, position_weights
+from stylerf.style.transparency import shown_positions
 
 
 def crop_of(style_image: Tensor, x: int, y: int, size: int) -> Tensor:
-    """Crop a square of `size` pixels from a style image [3, h, w], with its upper left corner at column x, row y."""
+    """Crop a square of `size` pixels from a style image [c, h, w], with its upper left corner at column x, row y."""
     height, width = style_image.shape[1:]
     if size < 1 or x < 0 or y < 0 or x + size > width or y + size > height:
         raise InvalidValue(f"a crop of {size} pixels at {x},{y} does not fit into a style image of {width}x{height}")
@@ -41,23 +43,37 @@ class RegionStyle:
 
     Args:
         extractor: The layers to compare.
-        style_image: [3, h, w].
+        style_image: [3 or 4, h, w]; a fourth channel is alpha, and what it hides does not count.
         side: Longer side of the images that features are extracted from, pixels.
+        stroke: Size of the style image's strokes, relative to both images being of that size.
     """
 
-    def __init__(self, extractor: FeatureExtractor, style_image: Tensor, side: int) -> None:
+    def __init__(self, extractor: FeatureExtractor, style_image: Tensor, side: int, stroke: float = 1.0) -> None:
         if side < 4 * extractor.stride:
             raise InvalidValue(f"style images of {side} pixels are too small; at least {4 * extractor.stride} needed")
         self.extractor, self.side = extractor, side
+        picture = self._padded(stroke_picture(style_image.to(self.device), side, stroke))
         with torch.no_grad():
-            features = extractor(self._padded(fitted(style_image.to(self.device), side))[None])
-        self.grams = [gram_matrix(feature[0]) for feature in features]
+            features = extractor(picture[None, :3])
+            shown = [self._shown(layer, picture, feature) for layer, feature in zip(extractor.layers, features)]
+            self.grams = [gram_matrix(feature[0], weights) for feature, weights in zip(features, shown)]
         self.units = [float(gram.square().mean().clamp_min(1e-12)) for gram in self.grams]
 
     @property
     def device(self) -> torch.device:
         """The feature extractor's device, on which colors must be."""
         return self.extractor.input_scale.device
+
+    def _shown(self, layer: str, picture: Tensor, feature: Tensor) -> Tensor | None:
+        """Weights [h', w'] of the style image's features, None for 1."""
+        if picture.shape[0] == 3:
+            return None
+        shown = shown_positions(picture[3], (feature.shape[2], feature.shape[3]), self.extractor.radius_of(layer))
+        if not bool(shown.any()):
+            raise InvalidValue(
+                f"the style image's opaque parts are smaller than what {layer} sees; give it a background"
+            )
+        return shown.float()
 
     def _padded(self, picture: Tensor) -> Tensor:
         """Pad a thin image with black to the smallest side that the extractor accepts."""

@@ -14,6 +14,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_map import ColorMap
 from stylerf.srgb import LUMA
+from stylerf.style.transparency import shown_colors
 
 VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)
 NOISE = (2 / 255) ** 2  # variance of the content below which it is noise of 8-bit photos
@@ -59,8 +60,12 @@ def match_colors(
 
 
 def in_colors_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Give a style image [3, h, w] the weighted mean and covariance of sRGB colors [n, 3], keeping its strokes."""
-    return match_colors(style_image.flatten(1).T, colors, style_weights=weights).image(style_image).float()
+    """Give a style image [3 or 4, h, w] the weighted mean and covariance of sRGB colors [n, 3], keeping its strokes.
+
+    A fourth channel is alpha, which stays; what it hides does not count.
+    """
+    matched = match_colors(shown_colors(style_image).flatten(1).T, colors, style_weights=weights).image(style_image[:3])
+    return torch.cat([matched.float(), style_image[3:]])
 
 
 def spread_at_least(style_image: Tensor, least: float) -> Tensor:

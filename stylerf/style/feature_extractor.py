@@ -112,6 +112,21 @@ class FeatureExtractor(nn.Module):
         """Pixels between neighboring positions of the deepest layer."""
         return int(2 ** (int(self.layers[-1][4]) - 1))
 
+    @property
+    def radius(self) -> int:
+        """Pixels around a position that the deepest layer sees, at most."""
+        return self.radius_of(self.layers[-1])
+
+    def radius_of(self, layer: str) -> int:
+        """Pixels around a position that a layer sees, at most."""
+        radius, apart = 0, 1  # apart: pixels between positions
+        for one in LAYERS[: LAYERS.index(layer) + 1]:
+            if one.endswith("_1") and one != "conv1_1":
+                radius += 2 * apart if self.architecture.pooling == "blur" else apart
+                apart *= 2
+            radius += apart
+        return radius
+
     def forward(self, image: Tensor) -> list[Tensor]:
         """Return one feature map [n, c, h', w'] >= 0 for each layer, in network order, of sRGB images [n, 3, h, w].
 
@@ -189,6 +204,14 @@ def features(extractor: FeatureExtractor, image: Tensor, half_precision: torch.d
         return list(extractor(image))
     with torch.autocast("cuda", dtype=half_precision):
         return [feature.float() for feature in extractor(image)]
+
+
+def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:
+    """Concatenate features [1, c, h, w] of layers in one block along channels (ARF): {"conv3": [sum c, h, w], ...}."""
+    blocks: dict[str, list[Tensor]] = {}
+    for layer, feature in zip(layers, features, strict=True):
+        blocks.setdefault(layer.split("_")[0], []).append(feature[0])
+    return {block: parts[0] if len(parts) == 1 else torch.cat(parts) for block, parts in blocks.items()}
 
 
 def resized(image: Tensor, height: int, width: int) -> Tensor:

@@ -9,6 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.style_features import style_features
 
 CONVOLUTIONS = 5
 UPSAMPLED_AFTER = (0, 2)  # convolutions followed by 2x upsampling: conv3_1 is at a quarter of the resolution
@@ -47,9 +48,10 @@ def adain(content: Tensor, style: Tensor) -> Tensor:
 
 @torch.no_grad()
 def adain_picture(extractor: FeatureExtractor, decoder: Decoder, photo: Tensor, style_image: Tensor) -> Tensor:
-    """Stylize a photo [3, h, w] by a style image [3, any, any]; [3, h, w] in 0..1. extractor: ends at conv3_1."""
+    """Stylize a photo [3, h, w] by a style image [3 or 4, any, any]; [3, h, w] in 0..1. extractor: conv3_1 alone."""
     height, width = photo.shape[1:]
-    stylized = decoder(adain(extractor(photo[None])[-1], extractor(style_image[None])[-1]))[0]
+    (style,) = style_features(extractor, style_image).values()
+    stylized = decoder(adain(extractor(photo[None])[-1], style[None]))[0]
     return stylized[:, :height, :width].clamp(0, 1).contiguous()
 
 

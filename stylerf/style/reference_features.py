@@ -15,14 +15,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from stylerf.style.feature_extractor import FeatureExtractor, features
+from stylerf.style.feature_extractor import FeatureExtractor, by_block, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
 from stylerf.style.style_objective import (
     EVERYTHING,
     FeatureLoss,
     StyleWeights,
     Window,
-    by_block,
     content_distance,
     nearest_neighbor_distance,
     position_weights,

@@ -13,17 +13,10 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 from stylerf.srgb import LUMA
-from stylerf.style.feature_extractor import FeatureExtractor, feature_size, features, resized, style_picture
+from stylerf.style.feature_extractor import FeatureExtractor, by_block, feature_size, features, resized
 from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
+from stylerf.style.style_features import stroke_picture, style_features
 from stylerf.style.transport import transport_targets
-
-
-def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:
-    """Concatenate features [1, c, h, w] of layers in one block along channels (ARF): {"conv3": [sum c, h, w], ...}."""
-    blocks: dict[str, list[Tensor]] = {}
-    for layer, feature in zip(layers, features, strict=True):
-        blocks.setdefault(layer.split("_")[0], []).append(feature[0])
-    return {block: parts[0] if len(parts) == 1 else torch.cat(parts) for block, parts in blocks.items()}
 
 
 def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor:
@@ -206,13 +199,15 @@ class StyleObjective(FeatureLoss):
 
     Args:
         extractor: The layers whose features are matched.
-        style_image: [3, h, w].
+        style_image: [3 or 4, h, w]; a fourth channel is alpha, and what it hides is not matched.
         size: Height and width of the content images.
         weights: Of the loss terms.
         scale: Scale of the images that features are extracted from (ARF: 0.5).
         most_rows: Style features kept for matching.
         basis: Leading directions in which neighbors are searched; 0 for all, exact.
         style_scale: Scale of the style image, relative to `scale`.
+        stroke: Size of its strokes, relative to that; see style_features.stroke_picture.
+        rotations: Match with the style image turned by 90, 180 and 270 degrees too.
         seed: Of the choice of style features.
         variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
         around: Feature positions next to the object that count too.
@@ -236,12 +231,13 @@ class StyleObjective(FeatureLoss):
         variation: str = "squared",
         around: int = 0,
         diversity: float = 0.5,
+        stroke: float = 1.0,
+        rotations: bool = False,
     ) -> None:
         super().__init__(extractor, weights, scale, variation)
         self.around, self.diversity, self.draw = around, diversity, 0
-        picture = style_picture(style_image, *size, scale=scale * style_scale).to(self.device)
-        with torch.no_grad():
-            found = by_block(extractor.layers, features(extractor, picture[None], self.half))
+        picture = stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke).to(self.device)
+        found = style_features(extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)
         self.style: dict[str, StyleRows] = {}
         # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}

@@ -55,7 +55,7 @@ class EditSettings:
         seconds: Time limit for all of them, 0 for none; the result depends on the clock only if it is reached.
         pixels: Pixels per step without a style image.
         rate, table_rate: Learning rates of networks (palette: twice it) and table, falling to `final_rate`.
-        style_side: See RegionStyle.
+        style_side, stroke: See RegionStyle.
         keep_colors: Give the style image the region's mean color and covariance first.
     """
 
@@ -73,6 +73,7 @@ class EditSettings:
     final_rate: float = 0.1
     weights: EditWeights = field(default_factory=EditWeights)
     style_side: int = 128
+    stroke: float = 1.0
     keep_colors: bool = False
 
     def __post_init__(self) -> None:
@@ -118,7 +119,7 @@ class EditTrainer:
 
     Args:
         module: From start_module.
-        style: Style image [3, h, w], or a crop of it, sRGB 0..1, with an extractor; None to recolor.
+        style: Style image [3 or 4, h, w], or a crop of it, sRGB 0..1, with an extractor; None to recolor.
         engine: Where it trains, on the extractor's device (training/backends.py). All engines see the same pixels.
 
     Raises:
@@ -147,7 +148,7 @@ class EditTrainer:
             if settings.keep_colors:
                 colors = sampled_colors(self.views, np.random.default_rng([seed, 6]))
                 style = in_colors_of(style, torch.from_numpy(colors))
-            self.style = RegionStyle(extractor, style, settings.style_side)
+            self.style = RegionStyle(extractor, style, settings.style_side, settings.stroke)
         self.engine = engine(self.views, module, threads)
         self.state = EditState()
         self._pictured: dict[int, tuple[Neighbors, Canvas, Tensor]] = {}

@@ -28,6 +28,7 @@ from stylerf.style.color_matching import (
     spread_at_most,
     strokes_in,
 )
+from stylerf.style.transparency import shown_colors
 from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
@@ -129,7 +130,7 @@ class StyleProblem(Generic[Settings_co]):
         field: The fitted field, whose density stays.
         cameras, photos: Training views: [h, w, 3] float32 sRGB 0..1 over the background; read again where not cached.
         background: Gray level behind the field.
-        style_image: [3, h, w] sRGB 0..1; None if the method has none.
+        style_image: [3 or 4, h, w] sRGB 0..1; None if the method has none. A fourth channel is an alpha of 0 or 1.
         deformation: Network that moves the shapes too (DeSRF); None: they stay.
         region: Cells [s, s, s] of the cube; only this part of the scene is shown, matched and stylized, and new_color
             gives colors over the scene's own.
@@ -186,7 +187,7 @@ class StyledScene(Generic[Settings_co]):
         shown: Views that show something to stylize.
         photos: The views' photos, in the style image's colors if settings.match says so.
         style_image: Image whose features are matched; None without a style image.
-        style_colors: Image whose colors are matched; None without a style image.
+        style_colors: Image whose colors are matched, without what is transparent; None without a style image.
 
     Raises:
         InvalidValue: No view shows anything of the region.
@@ -202,8 +203,9 @@ class StyledScene(Generic[Settings_co]):
         self.settings: Settings_co = problem.settings
         min_spread = self.settings.min_spread
         if problem.style_image is not None:
-            self.settings = self.settings.for_style(strokes_in(problem.style_image, min_spread))
-            self.style_colors = spread_at_least(problem.style_image, min_spread)
+            self.style_colors = shown_colors(problem.style_image)
+            self.settings = self.settings.for_style(strokes_in(self.style_colors, min_spread))
+            self.style_colors = spread_at_least(self.style_colors, min_spread)
         threshold = problem.field.weight_threshold if self.of_region else self.settings.weight_threshold
         self.field = replace(problem.field, color_map=None, weight_threshold=threshold)
         self.deformer = self._new_deformer()
@@ -303,7 +305,7 @@ class StyledScene(Generic[Settings_co]):
         colors, weights = of_object.colors(p.seed, pixels)
         if isinstance(s, ImageStyleSettings) and s.keep_colors and self.style_image is not None:
             self.style_image = in_colors_of(self.style_image, colors, weights)
-            self.style_colors = self.style_image
+            self.style_colors = shown_colors(self.style_image)
             return photos.__getitem__
         # Both matches aim at these colors: two bounds, one after the other, would allow their product.
         self.style_colors = spread_at_most(self.style_colors, colors, s.max_gain, weights)

@@ -57,7 +57,8 @@ class ImageStyleSettings(StyleSettings):
         loss: transport (see style/transport.py), nnfm (nearest neighbor feature matching) or gram (Gram matrices).
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
-        style_scale, style_rows, style_basis, variation, diversity: See style/style_objective.StyleObjective.
+        style_scale, style_rows, style_basis, variation, diversity, stroke, rotations: See
+            style/style_objective.StyleObjective.
         keep_colors: Give the style image the photos' colors, instead of the photos the style image's.
     """
 
@@ -70,6 +71,8 @@ class ImageStyleSettings(StyleSettings):
     style_basis: int = 96
     variation: str = "squared"
     diversity: float = 0.5
+    stroke: float = 1.0
+    rotations: bool = False
     keep_colors: bool = False
 
     def for_style(self, strength: float) -> Self:

@@ -9,7 +9,7 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from stages.artifacts.style_images import digest_of, read_references, training_view
+from stages.artifacts.style_images import digest_of, read_references, read_style_image, training_view
 from stages.configs.stylize import CONFIGS, RefNprConfig, SnerfConfig
 from stages.stylization.settings import coarse_layers, image_layers, image_loss, match_of, reference_layers, settings_of
 from stylerf.style.feature_extractor import LAYERS, layers_of
@@ -125,3 +125,51 @@ def test_layers_absent_from_the_weights_are_dropped_from_defaults_only():
     config = RefNprConfig(style="x")
     assert image_layers(config, short) == "conv2_1,conv3_1" and reference_layers(config, short) == "conv3_1"
     assert reference_layers(replace(config, layers="conv3"), short) == "conv3"
+
+
+def test_what_a_style_image_hides_is_not_read(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (40, 50, 4), np.uint8)
+    pixels[..., 3] = 255
+    pixels[5:20, 5:20, 3] = 0
+    read = []
+    for garbage in (0, 200):
+        pixels[5:20, 5:20, :3] = garbage
+        write_png(tmp_path / "cutout.png", pixels)
+        read.append(read_style_image(tmp_path / "cutout.png"))
+    assert read[0].shape == (4, 40, 50) and torch.equal(*read)
+    pixels[..., 3] = 0
+    write_png(tmp_path / "empty.png", pixels)
+    with pytest.raises(BadInput, match=r"empty\.png: it is transparent everywhere"):
+        read_style_image(tmp_path / "empty.png")
+
+
+def test_a_frame_is_left_out_in_one_line_unless_it_is_to_be_kept(tmp_path):
+    inside = np.random.default_rng(0).integers(0, 256, (40, 50, 3), np.uint8)
+    framed = np.full((52, 60, 3), 255, np.uint8)
+    framed[5:45, 4:54] = inside
+    write_png(tmp_path / "scan.png", framed)
+    said: list[str] = []
+    found = read_style_image(tmp_path / "scan.png", say=said.append)
+    assert np.array_equal(np.rint(found.permute(1, 2, 0).numpy() * 255), inside)
+    assert said == [
+        "scan.png: left out a frame of 4 px at the left, 5 px at the top, 6 px at the right, 7 px at the bottom; "
+        "--keep-frame keeps it"
+    ]
+    for options in ({"keep_frame": True}, {"crop": (0, 0, 52)}):
+        kept = read_style_image(tmp_path / "scan.png", say=said.append, **options)
+        assert np.array_equal(np.rint(kept.permute(1, 2, 0).numpy() * 255), framed[:, : kept.shape[2]])
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"style": "x", "stroke": 5.0}, r"stroke must be in 0\.25\.\.4"),
+        ({"style": "x", "method": "snerf", "rotations": True}, "--rotations has no effect with --image-by gram"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "stroke": 2.0}, "--stroke has no effect with --reference"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "keep_frame": True}, "--reference gives none"),
+    ],
+)
+def test_options_of_the_style_image_that_would_do_nothing_are_refused(options, words):
+    with pytest.raises(ValueError, match=words):
+        CONFIGS[options.get("method", "arf")](**options)

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.style import style_objective
-from stylerf.style.feature_extractor import resized, style_picture
+from stylerf.style.feature_extractor import by_block, resized, style_picture
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
 from stylerf.style.style_objective import (
     CELLS,
@@ -112,7 +112,7 @@ def test_position_weights_average_the_pixels_they_stand_for():
 
 
 def test_taps_of_a_block_are_joined():
-    found = style_objective.by_block(("conv2_2", "conv3_1", "conv3_2"), [torch.ones(1, c, 4, 5) * c for c in (2, 3, 4)])
+    found = by_block(("conv2_2", "conv3_1", "conv3_2"), [torch.ones(1, c, 4, 5) * c for c in (2, 3, 4)])
     assert {name: tuple(value.shape) for name, value in found.items()} == {"conv2": (2, 4, 5), "conv3": (7, 4, 5)}
     assert float(found["conv3"][2, 0, 0]) == 3 and float(found["conv3"][3, 0, 0]) == 4
 

@@ -1,0 +1,144 @@
+"""Features of a style image: with strokes of a chosen size, at four rotations, of what it shows, in bounded memory."""
+
+from collections.abc import Iterator
+from math import ceil, sqrt
+
+import torch
+from torch import Tensor
+
+from stylerf.errors import InvalidValue
+from stylerf.style.feature_extractor import FeatureExtractor, by_block, features, fitted
+from stylerf.style.transparency import shown_positions
+
+PART_SIDE = 768  # pixels, about, of the parts that an enlarged image is seen in
+MOST_PIXELS = 1 << 22  # of all parts: what is enlarged holds no more strokes
+MOST_POSITIONS = 65536  # kept of each block
+TURNS = 4  # of 90 degrees
+
+Parts = list[tuple[slice, slice]]  # of a side: pixels to extract features from, and those of them that count
+
+
+def stroke_picture(style_image: Tensor, long_side: int, stroke: float = 1.0) -> Tensor:
+    """Scale a style image [3 or 4, h, w] to strokes `stroke` times as large as with a longer side of `long_side`.
+
+    A smaller image is mirrored outwards to the size of stroke 1: along its own border, features see nothing, and a
+    small image is mostly border.
+    """
+    picture = fitted(style_image, max(1, round(long_side * stroke)))
+    if stroke >= 1:
+        return picture
+    height, width = (max(1, round(side * long_side / max(style_image.shape[1:]))) for side in style_image.shape[1:])
+    return mirrored(picture, max(height, picture.shape[1]), max(width, picture.shape[2]))
+
+
+def mirrored(image: Tensor, height: int, width: int) -> Tensor:
+    """Continue an image [c, h, w] to the right and downwards by its mirror images; [c, height, width]."""
+
+    def places(side: int, count: int) -> Tensor:
+        wave = torch.arange(count, device=image.device) % (2 * side)
+        return torch.where(wave < side, wave, 2 * side - 1 - wave)
+
+    return image[:, places(image.shape[1], height)][:, :, places(image.shape[2], width)]
+
+
+@torch.no_grad()
+def style_features(
+    extractor: FeatureExtractor,
+    picture: Tensor,
+    half: torch.dtype | None = None,
+    rotations: bool = False,
+    in_parts: bool = False,
+    limited: bool = True,
+    seed: int = 0,
+) -> dict[str, Tensor]:
+    """Return the features of a style image by block.
+
+    Args:
+        extractor: The layers.
+        picture: [3 or 4, h, w], scaled, on the extractor's device; a fourth channel is alpha.
+        half: See feature_extractor.features.
+        rotations: Also of the image turned by 90, 180 and 270 degrees.
+        in_parts: Extract from parts of about PART_SIDE pixels, spread over the image, MOST_PIXELS in all. Features are
+            those of the whole image.
+        limited: Keep at most MOST_POSITIONS of each block, unless the result is a whole image that shows all.
+        seed: Of the choice of these.
+
+    Returns:
+        [c, h', w'] for a whole image that shows all; else [c, 1, n], of the positions that show the style (see
+        transparency.shown_positions).
+
+    Raises:
+        InvalidValue: No position does.
+    """
+    pictures = [picture.rot90(turn, (1, 2)) for turn in range(TURNS if rotations else 1)]
+    if len(pictures) == 1 and not in_parts and picture.shape[0] == 3:
+        return by_block(extractor.layers, features(extractor, picture[None], half))
+    margin = ceil(extractor.radius / extractor.stride) * extractor.stride
+    windows = [(turned, *part) for turned in pictures for part in _parts_of(turned, extractor.stride, margin, in_parts)]
+    most = max(1, MOST_POSITIONS // len(windows))
+    kept: dict[str, list[Tensor]] = {}
+    generator = torch.Generator().manual_seed(seed)
+    for turned, outer, inner in windows:
+        for block, rows in _kept_rows(extractor, turned[:, *outer], inner, half).items():
+            if limited and rows.shape[1] > most:
+                rows = rows[:, torch.randperm(rows.shape[1], generator=generator)[:most].sort().values.to(rows.device)]
+            kept.setdefault(block, []).append(rows)
+    found = {block: torch.cat(parts, dim=1)[:, None] for block, parts in kept.items()}
+    for block, feature in found.items():
+        if feature.shape[2] == 0:
+            raise InvalidValue(
+                f"the style image's opaque parts are smaller than what {block} sees at this size; give it a background"
+            )
+    return found
+
+
+def _kept_rows(
+    extractor: FeatureExtractor, part: Tensor, inner: tuple[slice, slice], half: torch.dtype | None
+) -> dict[str, Tensor]:
+    """Features of a part [3 or 4, h, w] by block, [c, n]: of positions within `inner`, pixels of it, that show it."""
+    kept = {}
+    for block, feature in by_block(extractor.layers, features(extractor, part[None, :3], half)).items():
+        size = (feature.shape[1], feature.shape[2])
+        where = torch.ones(size, dtype=torch.bool, device=part.device)
+        if part.shape[0] == 4:
+            deepest = [layer for layer in extractor.layers if layer.startswith(block)][-1]
+            where = shown_positions(part[3], size, extractor.radius_of(deepest))
+        counts = torch.zeros_like(where)
+        counts[tuple(_scaled(one, n, of) for one, n, of in zip(inner, size, part.shape[1:]))] = True
+        kept[block] = feature[:, where & counts]
+    return kept
+
+
+def _scaled(pixels: slice, positions: int, of: int) -> slice:
+    """The positions, of `positions` over `of` pixels, that lie within a slice of pixels."""
+    return slice(ceil(pixels.start * positions / of), int(pixels.stop * positions / of))
+
+
+def _parts_of(
+    picture: Tensor, stride: int, margin: int, in_parts: bool
+) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Windows of an image and what counts of each, relative to it."""
+    height, width = picture.shape[1:]
+    if not in_parts:
+        yield (slice(0, height), slice(0, width)), (slice(0, height), slice(0, width))
+        return
+    share = min(1.0, sqrt(MOST_PIXELS / (height * width)))
+    rows, columns = (_parts_of_side(side, share, stride, margin) for side in (height, width))
+    for outer_rows, inner_rows in rows:
+        for outer_columns, inner_columns in columns:
+            yield (outer_rows, outer_columns), (inner_rows, inner_columns)
+
+
+def _parts_of_side(side: int, share: float, stride: int, margin: int) -> Parts:
+    """Cut a side into equal cells, and take the middle `share` of each, with `margin` around it.
+
+    Cuts are at multiples of the stride, so that pooling aligns with that of the whole image.
+    """
+    count, parts = max(1, round(side / PART_SIDE)), []
+    for at in range(count):
+        unused = (1 - share) * side / count / 2
+        first = int((side * at / count + unused) / stride) * stride
+        last = side if share == 1 and at + 1 == count else int((side * (at + 1) / count - unused) / stride) * stride
+        start, stop = max(0, first - margin), min(side, last + margin)
+        parts.append((slice(start, stop), slice(first - start, last - start)))
+    return parts
