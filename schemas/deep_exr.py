@@ -79,6 +79,7 @@ def _by_pixel(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return [h, w] objects, the array of each pixel's values, None where it has none."""
     out = np.empty(counts.size, object)
     ends = np.cumsum(counts.reshape(-1))
+    out[0] = values[:0]  # without any array, OpenEXR would not know the channel's type
     for pixel in np.flatnonzero(counts):
         out[pixel] = values[ends[pixel] - counts.flat[pixel] : ends[pixel]]
     return out.reshape(counts.shape)
