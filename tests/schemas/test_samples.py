@@ -71,7 +71,8 @@ def test_inputs_of_the_samples_are_the_samples():
 def test_the_scene_sample_reads_as_a_scene():
     scene = read_scene(SAMPLES / "scene-4")
     assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
-    assert scene.views[0].lens == Lens(8, 6, 10.5, 10.5, 4, 3.25, LensDistortion("brown", (0.01, -0.002), (5e-4, -3e-4)))
+    distortion = LensDistortion("brown", (0.01, -0.002), (5e-4, -3e-4))
+    assert scene.views[0].lens == Lens(8, 6, 10.5, 10.5, 4, 3.25, distortion)
     assert read_scene(SAMPLES / "scene-3").views[0].lens is None
     data = load_scene(Artifact(SAMPLES / "scene-4"))
     assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2

@@ -62,7 +62,7 @@ def test_the_undistort_map_turns_the_photo_into_the_scene_s_picture(scene, posed
     assert len(list((tmp_path / "st_maps").iterdir())) == 2
     stored = planes(tmp_path / files[0].undistort)
     spec = oiio.ImageInput.open(str(tmp_path / files[0].undistort)).spec()
-    assert spec.getattribute("colorInteropID") == "data" and str(spec.channelformats[0] or spec.format) == "float"
+    assert spec.getattribute("colorInteropID") == "data" and str(spec.format) == "float"
     photo = oiio.ImageBuf(str(posed / scene.views[0].source)).get_pixels(oiio.FLOAT)
     assert photo.shape[:2] == stored["R"].shape == SIZE[::-1]
     x, y = stored["R"] * SIZE[0] - 0.5, (1 - stored["G"]) * SIZE[1] - 0.5
