@@ -1,11 +1,10 @@
 """OpenEXR files of rendered views: color, planar depth, ray distance, masks and the camera.
 
-Channels: R G B A half (linear Rec.709, premultiplied), Z float32 (along the camera's axis, not along the ray),
-rayDistance.Z float32 (along the ray), mask.<name> half. One scanline part with ZIP compression, whose check sum
+Channels: R G B A half (linear, premultiplied), Z float32 (along the camera's axis, not along the ray), rayDistance.Z
+float32 (along the ray), mask.<name> half, and Cryptomatte's. One scanline part with ZIP compression, whose check sum
 detected each of 1,100 flipped bytes.
 """
 
-import errno
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +13,10 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from schemas.atomic_write import refusal_of_disk, replacing
+from schemas.color_spaces import COLOR_SPACES
+from schemas.cryptomatte import cryptomatte_attributes, cryptomatte_channels
 from schemas.errors import BadInput
+from schemas.exr_writing import one_line, write_part
 from schemas.json_numbers import LARGEST_SIDE
 from schemas.native_output import native_output_silenced
 from schemas.safe_reading import check_allowance, opened
@@ -23,7 +24,6 @@ from schemas.safe_reading import check_allowance, opened
 # Depth where alpha is 0: compositors sort by Z, so a 0 would put empty pixels in front of everything.
 FAR_Z = 1e10
 LARGEST_HALF = 65504.0
-REC709 = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)  # x, y of red, green, blue, white
 PREFIX = "stylerf:"
 _REQUIRED = {"R": "f2", "G": "f2", "B": "f2", "A": "f2", "Z": "f4", "rayDistance.Z": "f4"}
 # The EXR standard's camera is left-handed: x right and z forward as OpenCV's, but y up.
@@ -35,7 +35,7 @@ class ExrView:
     """One rendered view.
 
     Attributes:
-        rgb: [h, w, 3] linear Rec.709, multiplied by alpha.
+        rgb: [h, w, 3] linear light of `colorspace`, multiplied by alpha.
         alpha: [h, w] 0..1.
         z: [h, w] planar depth, scene units, FAR_Z where alpha is 0.
         ray_distance: [h, w] distance along the ray, likewise.
@@ -44,6 +44,8 @@ class ExrView:
         near, far: Scene units.
         masks: By name, [h, w] 0..1.
         attributes: Provenance, stored as `stylerf:<key>`.
+        colorspace: A key of COLOR_SPACES.
+        mattes: Coverages to be written as Cryptomatte, by name, [h, w] 0..1; not read back.
     """
 
     rgb: np.ndarray
@@ -56,6 +58,8 @@ class ExrView:
     far: float
     masks: dict[str, np.ndarray] = field(default_factory=dict)
     attributes: dict[str, str] = field(default_factory=dict)
+    colorspace: str = "lin_rec709"
+    mattes: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def world_to_camera(world_from_camera: np.ndarray) -> np.ndarray:
@@ -96,15 +100,10 @@ def write_exr(path: Path | str, view: ExrView) -> None:
     """
     path = Path(path)
     channels = _channels(view)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **_attributes(view)}
-    with replacing(path) as temporary:
-        try:
-            with native_output_silenced():
-                OpenEXR.File(header, dict(channels)).write(str(temporary))  # a copy: OpenEXR replaces its values
-        except RuntimeError as error:
-            size = sum(array.nbytes for array in channels.values())
-            message = f"the EXR writer failed ({_one_line(error)})"
-            raise refusal_of_disk(path, size) or OSError(errno.EIO, message, str(path)) from error
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **view_attributes(view)}
+    if view.mattes:
+        header |= cryptomatte_attributes(view.mattes)
+    write_part(path, header, channels, sum(array.nbytes for array in channels.values()))
 
 
 def _channels(view: ExrView) -> dict[str, np.ndarray]:
@@ -114,6 +113,8 @@ def _channels(view: ExrView) -> dict[str, np.ndarray]:
     hit = planes["A"] > 0  # as stored: half precision may round a small alpha to 0
     planes["Z"] = np.where(hit, view.z, FAR_Z).astype(np.float32)
     planes["rayDistance.Z"] = np.where(hit, view.ray_distance, FAR_Z).astype(np.float32)
+    if view.mattes:
+        planes |= cryptomatte_channels(view.mattes)
     for name, plane in planes.items():
         if plane.shape != view.alpha.shape or plane.ndim != 2 or plane.size == 0:
             raise ValueError(f"EXR channel {name} has shape {plane.shape}, alpha {view.alpha.shape}")
@@ -123,7 +124,8 @@ def _channels(view: ExrView) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
 
 
-def _attributes(view: ExrView) -> dict[str, Any]:
+def view_attributes(view: ExrView) -> dict[str, Any]:
+    """Return the header's entries on color, camera and provenance; ValueError where the camera is not sound."""
     height, width = view.alpha.shape
     fx, fy, cx, cy = view.intrinsics
     pose = np.asarray(view.world_from_camera, dtype=np.float64)
@@ -131,8 +133,10 @@ def _attributes(view: ExrView) -> dict[str, Any]:
         raise ValueError("the pose of an EXR view must be a finite 4x4 matrix")
     if not (0 < view.near < view.far < np.inf):
         raise ValueError(f"an EXR view needs 0 < near < far, not {view.near} and {view.far}")
+    space = COLOR_SPACES[view.colorspace]
     standard = {
-        "chromaticities": REC709,
+        "chromaticities": space.chromaticities,
+        "colorInteropID": space.interop_id,
         "pixelAspectRatio": float(fy / fx),
         # The part of the plane at distance 1 that the image covers, y up.
         "screenWindowCenter": np.array([(width / 2 - cx) / fx, (cy - height / 2) / fy], dtype=np.float32),
@@ -192,7 +196,7 @@ def _parts(path: Path, header_only: bool) -> list[Any]:
             OpenEXR.setMaxImageSize(LARGEST_SIDE, LARGEST_SIDE)
             return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
     except (RuntimeError, ValueError, TypeError, MemoryError, OverflowError, UnicodeError, IndexError) as error:
-        raise BadInput(f"{path} is not a readable EXR ({_one_line(error)}); make or fetch it again") from error
+        raise BadInput(f"{path} is not a readable EXR ({one_line(error)}); make or fetch it again") from error
 
 
 def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
@@ -227,10 +231,6 @@ def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
     return height, width
 
 
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
-
-
 def read_exr(path: Path | str) -> ExrView:
     """Read a view that write_exr wrote: float32 arrays and the exact camera.
 
@@ -245,6 +245,7 @@ def read_exr(path: Path | str) -> ExrView:
     planes = {name: plane.astype(np.float32) for name, plane in channels.items()}
     if bad := [name for name, plane in planes.items() if not np.isfinite(plane).all()]:
         raise BadInput(f"{path}: channel {bad[0]} holds NaN or infinity")
+    interop = header.get("colorInteropID")  # none in older files, which are Rec.709
     own = {key.removeprefix(PREFIX): str(value) for key, value in header.items() if key.startswith(PREFIX)}
     try:
         pose = np.array([float(word) for word in own.pop("world_from_camera").split()]).reshape(4, 4)
@@ -263,6 +264,7 @@ def read_exr(path: Path | str) -> ExrView:
         far=far,
         masks={name.removeprefix("mask."): plane for name, plane in planes.items() if name.startswith("mask.")},
         attributes=own,
+        colorspace=next((name for name, one in COLOR_SPACES.items() if one.interop_id == interop), "lin_rec709"),
     )
 
 

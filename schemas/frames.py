@@ -8,6 +8,7 @@ from typing import Any
 from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged
 from schemas.json_numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
+from schemas.lens import LensDistortion, distortion_of
 from schemas.safe_names import relative_path
 from schemas.safe_reading import read_json
 from schemas.scene import Matrix
@@ -17,7 +18,10 @@ FRAMES_FILE = "frames.json"
 
 @dataclass(frozen=True)
 class FrameCamera:
-    """A camera as in scene.json: fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units."""
+    """A camera as in scene.json: fx, fy, cx, cy in pixels; world_from_camera 4x4 in scene units.
+
+    distortion: Of the lens that the frame was rendered through, None for a pinhole.
+    """
 
     width: int
     height: int
@@ -26,6 +30,7 @@ class FrameCamera:
     cx: float
     cy: float
     world_from_camera: Matrix
+    distortion: LensDistortion | None = None
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class Frame:
         exr: Path inside the artifact, "" without one.
         png: Likewise.
         scene_view: Index of the scene's view with this camera, if any.
+        undistort, redistort: ST maps between the view's photo and its undistorted picture; "" without.
     """
 
     name: str
@@ -43,6 +49,8 @@ class Frame:
     png: str
     camera: FrameCamera
     scene_view: int | None = None
+    undistort: str = ""
+    redistort: str = ""
 
 
 @dataclass(frozen=True)
@@ -90,11 +98,15 @@ def _frame(entry: dict[str, Any]) -> Frame:
     fx, fy = (number(values[key], where + key, *FOCAL_LENGTHS) for key in ("fx", "fy"))
     cx, cy = (number(values[key], where + key) for key in ("cx", "cy"))
     pose = matrix(values["world_from_camera"], where + "world_from_camera")
-    camera = FrameCamera(width, height, fx, fy, cx, cy, pose)
+    distortion = values.get("distortion")
+    distortion = None if distortion is None else distortion_of(distortion, where + "distortion")
+    camera = FrameCamera(width, height, fx, fy, cx, cy, pose, distortion)
     relative_path(entry["name"], "name of a frame")
-    for key in ("exr", "png"):
-        if entry[key] != "":
-            relative_path(entry[key], f"{key} of frame {entry['name']}")
+    files = {"exr": entry["exr"], "png": entry["png"]}
+    files |= {key: entry.get(key, "") for key in ("undistort", "redistort")}
+    for key, path in files.items():
+        if path != "":
+            relative_path(path, f"{key} of frame {entry['name']}")
     index = entry.get("scene_view")
     index = None if index is None else whole(index, f"frame {entry['name']}: scene_view", 0, 10**9)
-    return Frame(str(entry["name"]), entry["exr"], entry["png"], camera, index)
+    return Frame(str(entry["name"]), camera=camera, scene_view=index, **files)

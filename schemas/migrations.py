@@ -13,7 +13,7 @@ import numpy as np
 from schemas.errors import ArtifactDamaged, ArtifactStale
 
 CURRENT: dict[str, int] = {
-    "scene": 3,
+    "scene": 4,
     "field": 3,
     "frames": 3,
     "region": 3,
@@ -69,10 +69,15 @@ def _with_new_names(content: Json, folder: Path) -> Json:
     return {key: value if key in ("files", "versions") else renamed_in_3(value, key) for key, value in content.items()}
 
 
+def _unchanged(content: Json, folder: Path) -> Json:
+    return content  # scene.json of schema 4 may hold the lenses of photos
+
+
 # (kind, schema) -> function(manifest of that schema, folder) -> manifest of the next schema. Nothing is written.
 MIGRATIONS: dict[tuple[str, int], Migration] = {
     **{(kind, 1): _without_threads for kind in CURRENT},
     **{(kind, 2): _with_new_names for kind in CURRENT},
+    ("scene", 3): _unchanged,
 }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged, BadInput
 from schemas.json_numbers import FOCAL_LENGTHS, LARGEST, LARGEST_PICTURE, LARGEST_SIDE, matrix, number, numbers, whole
+from schemas.lens import Lens, lens_of
 from schemas.safe_names import relative_path
 from schemas.safe_reading import read_json
 
@@ -45,6 +46,7 @@ class View:
         fx, fy, cx, cy: Pixels.
         world_from_camera: 4x4, scene units.
         source: The path of the user's file.
+        lens: Of the photo that the image was made from; None where it is not known.
     """
 
     name: str
@@ -58,6 +60,7 @@ class View:
     cy: float
     world_from_camera: Matrix
     source: str = ""
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True)
@@ -234,7 +237,8 @@ def _view(entry: dict[str, Any]) -> View:
     sides = {key: whole(entry[key], f"{where}: {key}", 1, LARGEST_SIDE) for key in ("width", "height")}
     lens = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
     pose = matrix(entry["world_from_camera"], f"{where}: world_from_camera")
-    return View(**{**entry, **sides, **lens, "world_from_camera": pose})
+    photo = lens_of(entry.get("lens"), f"{where}: lens")
+    return View(**{**entry, **sides, **lens, "world_from_camera": pose, "lens": photo})
 
 
 def _known_only(entry: dict[str, Any], kind: type[Scene | View]) -> None:

@@ -24,7 +24,7 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import ray_ends
 
-SPEC = Spec(stage="edit_dataset", verb="extract", revision=3, writes="edit-dataset")
+SPEC = Spec(stage="edit_dataset", verb="extract", revision=4, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 

@@ -10,6 +10,7 @@ from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
+from schemas.lens import Lens, LensDistortion
 from schemas.safe_names import printable
 from schemas.safe_reading import allowance
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
@@ -68,7 +69,7 @@ def _content(path: Path) -> str:
 
 
 SPEC = Spec(
-    stage="pose_import", verb="import", revision=6, writes="scene",
+    stage="pose_import", verb="import", revision=7, writes="scene",
     outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
 )  # fmt: skip
 FEWEST_PHOTOS = 2
@@ -343,8 +344,13 @@ def _view(index: int, one: Sized, camera: Camera) -> View:
     return View(
         name=camera.name, image=_image(index), split=one.split, width=camera.width, height=camera.height,
         fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy,
-        world_from_camera=as_matrix(camera.world_from_camera), source=one.camera.source,
+        world_from_camera=as_matrix(camera.world_from_camera), source=one.camera.source, lens=_lens(one),
     )  # fmt: skip
+
+
+def _lens(one: Sized) -> Lens:
+    lens = one.camera.distortion
+    return Lens(*one.size, *one.intrinsics, LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator))
 
 
 def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:

@@ -1,9 +1,9 @@
 """Render a field from the scene's views or along a camera path, as EXR, PNG and video.
 
-Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is written.
+Roles of the inputs: `scene`, `field`, and `region.<name>` for every region whose mask is written. What compositors get
+beyond plain frames is in stages/compositing: color spaces, deep samples, plates and ST maps.
 """
 
-import functools
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -12,11 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.deep_exr import write_deep_exr
 from schemas.errors import ArtifactDamaged, BadInput, NoVideo, StylerfError
-from schemas.exr import ExrView, write_exr
+from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
-from schemas.images import linear_from_srgb, to_uint8, write_png
+from schemas.images import to_uint8, write_png
 from schemas.journal import Journal
+from schemas.lens import LensDistortion
 from schemas.scene import Bounds, as_matrix
 from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
@@ -25,29 +27,36 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
+from stages.compositing.deep_frames import deep_samples
+from stages.compositing.exr_views import exr_view
+from stages.compositing.plates import StMaps, map_files, plate_camera, write_st_maps
 from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.errors import InvalidValue
+from stylerf.fields.blended_color import BlendedColor
 from stylerf.fields.blending import at_strength
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.camera_paths import PATHS, path_camera
 from stylerf.geometry.cameras import Camera
+from stylerf.geometry.lens_camera import LensCamera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.rendering.deep import DeepCollector, DeepView
 from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture, render_view
 
 SPEC = Spec(
-    stage="render", verb="render", revision=2, writes="frames",
+    stage="render", verb="render", revision=3, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
 Shot = tuple[Camera, int | None]
+Renderer = Callable[[Camera, Mapping[str, np.ndarray]], tuple[RenderedView, DeepView | None]]
 WRITTEN_AT_ONCE = 2  # frames; each holds its planes in memory until it is on disk
 
 
 def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Write frames.json, png/, and on request exr/, masks/, depth/, displacement/ and a video.
+    """Write frames.json, png/, and on request exr/, deep/, st_maps/, masks/, depth/, displacement/ and a video.
 
     Frames on disk, from an interrupted run or a shard in the work folder, are not rendered again.
     """
@@ -67,7 +76,15 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     if config.video:
         try_video(*sizes[0], config.fps)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
+    if config.cryptomatte and not regions:
+        raise BadInput(
+            f"--cryptomatte: no region was selected in the space of field {inputs['field'].name}; select one with "
+            "`stylerf select`"
+        )
+    if config.deep and isinstance(field.color, BlendedColor):
+        raise BadInput(f"--deep: field {inputs['field'].name} is a blend, whose samples have no colors of their own")
     channels = channels_of(regions)
+    maps = _st_maps(scene) if config.st_map else {}
     attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest}
     along = Path(config.path).name if context.no_paths else config.path
     attributes["path"] = along
@@ -77,7 +94,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     cells = {name: region.cells for name, region in regions.items()}
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {inputs['field'].name} has no deformation; --displacement writes nothing")
-    listed = tuple(_frame_of(camera, view, config) for camera, view in shots)
+    listed = tuple(_frame_of(camera, view, config, maps.get(camera.name)) for camera, view in shots)
     journal = Journal(partial.checkpoint / "frames.jsonl", partial.path)
     taken = {} if context.rebuild or config.frames else take_frames(partial, listed, journal)
     if taken:
@@ -85,24 +102,23 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         context.progress.say(f"reusing {count} of {len(shots)} frames from {', '.join(taken)}")
     context.progress.start("render", len(shots), "frame")
     device = gpu_of(context, field)
-    renderer = (
-        _gpu_renderer(field, device, scene.cameras[0])
-        if device
-        else functools.partial(render_view, field, threads=threads)
-    )
+    if device and config.deep:
+        context.progress.say("--deep: rendering on the CPU, which alone keeps the samples of a ray")
+        device = None
+    renderer = _gpu_renderer(field, device, scene.cameras[0]) if device else _cpu_renderer(field, config, threads)
     field_name, recording = inputs["field"].name, threading.Lock()
     with nullcontext() if device else compiling_note(context.progress.say):
 
-        def write(job: tuple[Frame, Camera, RenderedView | None]) -> None:
+        def write(job: tuple[Frame, Camera, tuple[RenderedView, DeepView | None] | None]) -> None:
             frame, camera, rendered = job
             if rendered is None:
                 return
-            _write(partial.path, frame, rendered, camera, field, background, scene.bounds, config, attributes)
+            _write(partial.path, frame, *rendered, camera, field, background, scene.bounds, config, attributes)
             # Here, in the thread: an interrupted render waits for it, and must not lose the frame.
             with recording:
                 journal.add(_files_of(frame, config, field, cells))
 
-        def rendered_frames() -> Iterator[tuple[Frame, Camera, RenderedView | None]]:
+        def rendered_frames() -> Iterator[tuple[Frame, Camera, tuple[RenderedView, DeepView | None] | None]]:
             for frame, (camera, _) in zip(listed, shots, strict=True):
                 with recording:
                     held = journal.holds(_files_of(frame, config, field, cells))
@@ -112,6 +128,10 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         for done, _ in enumerate(in_order(write, rendered_frames(), WRITTEN_AT_ONCE), start=1):
             context.progress.update(done)
     context.progress.finish()
+    if maps:
+        shown = {camera.name for camera, _ in shots}
+        used = {index: maps[view.name] for index, view in enumerate(scene.views) if view.name in shown}
+        write_st_maps(partial.path, scene, used)
     masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None
     write_frames(partial.path, Frames(inputs["field"].name, along, listed, fps, masks))
@@ -137,12 +157,27 @@ def _field_at_strength(inputs: Mapping[str, Artifact], strength: float) -> tuple
         ) from error
 
 
-def _gpu_renderer(field: RadianceField, device: str, camera: Camera) -> Callable[..., RenderedView]:
+def _cpu_renderer(field: RadianceField, config: RenderConfig, threads: int) -> Renderer:
+    def render(camera: Camera, regions: Mapping[str, np.ndarray]) -> tuple[RenderedView, DeepView | None]:
+        if not config.deep:
+            return render_view(field, camera, threads=threads, regions=regions), None
+        deep = DeepCollector(field, camera, config.deep_samples, threads)
+        return render_view(field, camera, threads=threads, regions=regions, on_rendered=deep.add), deep.view()
+
+    return render
+
+
+def _gpu_renderer(field: RadianceField, device: str, camera: Camera) -> Renderer:
     from stylerf.rendering.view_gpu import GpuRenderer
 
     renderer = GpuRenderer(field, device)
     renderer.choose(camera)  # once for all frames, so that shards and resumed runs decide alike
-    return renderer.view
+    return lambda camera, regions: (renderer.view(camera, regions=regions), None)
+
+
+def _st_maps(scene: SceneData) -> dict[str, StMaps]:
+    """By view's name, for all views of the scene, so that shards number lenses alike."""
+    return {scene.views[view].name: maps for view, maps in map_files(scene, range(len(scene.views))).items()}
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
@@ -159,7 +194,7 @@ def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     splits = scene.splits
     own = dict(zip(OWN_VIEWS, (splits["train"], splits["test"], sorted(splits["train"] + splits["test"])), strict=True))
     if config.path in own:
-        shots: list[Shot] = [(scene.cameras[i], i if config.scale == 1 else None) for i in own[config.path]]
+        shots: list[Shot] = [_own_shot(scene, i, config) for i in own[config.path]]
         if not shots:
             raise BadInput(f"{scene.folder}: the scene has no {config.path} views to render")
     elif config.path in PATHS:
@@ -171,6 +206,12 @@ def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     else:
         shots = [(camera, None) for camera in read_cameras(Path(config.path), scene).cameras]
     return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in _chosen(config, len(shots))]
+
+
+def _own_shot(scene: SceneData, view: int, config: RenderConfig) -> Shot:
+    if config.plate:  # the view's camera, but not its picture
+        return plate_camera(scene, view), None
+    return scene.cameras[view], view if config.scale == 1 else None
 
 
 def _chosen(config: RenderConfig, count: int) -> range:
@@ -185,10 +226,14 @@ def _focus_depth(scene: SceneData) -> float:
     return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))
 
 
-def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:
+def _frame_of(camera: Camera, view: int | None, config: RenderConfig, maps: StMaps | None = None) -> Frame:
     name, pose = camera.name, as_matrix(camera.world_from_camera)
-    entry = FrameCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, pose)
-    return Frame(name, f"exr/{name}.exr" if config.exr else "", f"png/{name}.png", entry, view)
+    lens = camera.distortion if isinstance(camera, LensCamera) else None
+    distortion = LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator) if lens else None
+    entry = FrameCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, pose, distortion)
+    exr, png = f"exr/{name}.exr" if config.exr else "", f"png/{name}.png"
+    undistort, redistort = (maps.undistort, maps.redistort) if maps else ("", "")
+    return Frame(name, exr, png, entry, view, undistort, redistort)
 
 
 def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
@@ -196,26 +241,28 @@ def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions:
     folders = [f"masks/{region}" for region in regions] if config.masks else []
     folders += ["depth"] if config.depth else []
     folders += ["displacement"] if config.displacement and field.displacement is not None else []
-    return [*filter(None, [frame.exr]), *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
+    own = [*filter(None, [frame.exr]), *([f"deep/{frame.name}.exr"] if config.deep else [])]
+    return [*own, *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
 
 
 def render_frame(
-    renderer: Callable[..., RenderedView], frame: Frame, camera: Camera, regions: Mapping, field: str
-) -> RenderedView:
+    renderer: Renderer, frame: Frame, camera: Camera, regions: Mapping, field: str
+) -> tuple[RenderedView, DeepView | None]:
     """Render a frame of the named field; ArtifactDamaged if it has NaN or infinite values."""
-    rendered = renderer(camera, regions=regions)
+    rendered, deep = renderer(camera, regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
         raise ArtifactDamaged(
             f"field {field} renders NaN or infinite values in frame {frame.name}, although each of its numbers is in "
             "range; rebuild it"
         )
-    return rendered
+    return rendered, deep
 
 
 def _write(
     folder: Path,
     frame: Frame,
     rendered: RenderedView,
+    deep: DeepView | None,
     camera: Camera,
     field: RadianceField,
     background: str,
@@ -224,8 +271,12 @@ def _write(
     attributes: Mapping[str, str],
 ) -> None:
     name = frame.name
-    if config.exr:
-        write_exr(folder / frame.exr, exr_view(rendered, camera, bounds, attributes))
+    if config.exr or deep:
+        flat = exr_view(rendered, camera, bounds, attributes, config)
+        if config.exr:
+            write_exr(folder / frame.exr, flat)
+        if deep:
+            write_deep_exr(folder / f"deep/{name}.exr", flat, deep_samples(deep, flat))
     if config.masks:
         for region, mask in rendered.masks.items():
             write_png(folder / f"masks/{region}/{name}.png", to_uint8(mask))
@@ -236,25 +287,6 @@ def _write(
     level = 1.0 if background == "white" else 0.0
     rgb = rendered.rgb + (1 - rendered.alpha[..., None]) * np.float32(level)
     write_png(folder / frame.png, to_uint8(np.clip(rgb, 0, 1)))
-
-
-def exr_view(rendered: RenderedView, camera: Camera, bounds: Bounds, attributes: Mapping[str, str]) -> ExrView:
-    """Convert a view to linear, premultiplied color: divide by alpha, linearize, multiply by alpha."""
-    channels = channels_of(rendered.masks)
-    alpha = rendered.alpha[..., None]
-    straight = np.clip(rendered.rgb / np.maximum(alpha, 1e-6), 0, 1)
-    return ExrView(
-        rgb=linear_from_srgb(straight) * alpha,
-        alpha=rendered.alpha,
-        z=rendered.z,
-        ray_distance=rendered.ray_distance,
-        world_from_camera=camera.world_from_camera,
-        intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
-        near=bounds.near,
-        far=bounds.far,
-        masks={channels[name]: mask for name, mask in rendered.masks.items()},
-        attributes=dict(attributes),
-    )
 
 
 def _video(folder: Path, pictures: list[str], config: RenderConfig, context: Context) -> str:

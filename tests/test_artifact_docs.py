@@ -49,14 +49,17 @@ def test_kinds_and_schemas_are_documented(kind):
 def test_exr_channels_and_attributes_are_documented(tmp_path):
     plane = np.ones((2, 2))
     view = exr.ExrView(
-        np.ones((2, 2, 3)), plane, plane, plane, np.eye(4), (2, 2, 1, 1), 1, 2, {"head": plane}, {"field": "x"}
-    )
+        np.ones((2, 2, 3)), plane, plane, plane, np.eye(4), (2, 2, 1, 1), 1, 2, {"head": plane}, {"field": "x"},
+        mattes={"head": plane},
+    )  # fmt: skip
     exr.write_exr(tmp_path / "v.exr", view)
     source = oiio.ImageInput.open(str(tmp_path / "v.exr"))
     documented = first_column(section("Rendered views: OpenEXR"))
     generic = {"mask.head": "mask.<name>", "stylerf:field": "stylerf:<key>", "PixelAspectRatio": "pixelAspectRatio",
                "Software": "software"}  # fmt: skip
     ours = [name.name for name in source.spec().extra_attribs if not name.name.startswith(("oiio:", "openexr:"))]
+    ours = ["cryptomatte/<key>/<field>" if name.startswith("cryptomatte/") else name for name in ours]
+    generic |= {f"crypto_region00.{name}": "crypto_region00.R" for name in "GBA"}
     found = {generic.get(name, name) for name in [*source.spec().channelnames, *ours]} - {"compression"}
     assert found == documented
     assert f"{exr.FAR_Z:.0e}".replace("+", "") in section("Rendered views: OpenEXR")

@@ -74,13 +74,15 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
 
 def _ours(entries: object, like: Camera, where: str) -> CameraFile:
     """{world_from_camera, and optionally width, height, fx, fy, cx, cy} each, in scene units, maybe as `camera`."""
-    cameras = []
+    cameras, distorted = [], 0
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
         try:
+            distorted += entry.get("camera", entry).get("distortion") is not None
             cameras.append(_camera_of_entry(entry.get("camera", entry), f"{index:04d}", like))
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"{where}: camera {index} is not sound ({error})") from error
-    return CameraFile(cameras)
+    remark = f"{where}: lens distortion is dropped from {distorted} cameras; --plate renders it for the scene's views"
+    return CameraFile(cameras, (remark,) if distorted else ())
 
 
 def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:

@@ -8,7 +8,7 @@ from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
 from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.evaluate import EvaluateConfig
-from stages.configs.render import OWN_VIEWS, label_of
+from stages.configs.render import MEASURABLE, OWN_VIEWS, label_of
 from stages.pipeline.prerequisites import ensure_frames, field_named, frames_config, scene_of
 from stages.pipeline.stage_runner import Request, StageRunner
 
@@ -155,6 +155,7 @@ def _measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, 
         config = one.manifest.config
         full = config.get("scale", 1) == 1 and config.get("strength", 1) == 1
         whole = full and config.get("exr", True) and not config.get("frames")
+        whole = whole and all(config.get(name, value) == value for name, value in MEASURABLE.items())
         current = (one.manifest.stage, one.manifest.revision) == (SPEC.stage, SPEC.revision)
         if whole and current and _shows(one, field) and one.has(FRAMES_FILE):
             frames = read_frames(one.path)

@@ -3,6 +3,7 @@
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactStale, BadInput, UsageError
@@ -10,7 +11,7 @@ from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.configs.deform import DeformConfig
 from stages.configs.fit import FitConfig
 from stages.configs.pose_import import ImportConfig, ImportOptions
-from stages.configs.render import OWN_VIEWS, RenderConfig
+from stages.configs.render import DEEP_SAMPLES, MEASURABLE, OWN_VIEWS, RenderConfig
 from stages.pipeline.stage_runner import Request, StageRunner
 
 FIT_NAME = "fit"
@@ -134,15 +135,18 @@ def ensure_frames(runner: StageRunner, field: Artifact, path: str, name: str) ->
 def frames_config(runner: StageRunner, path: str) -> RenderConfig:
     """Return the options of frames that are rendered as a prerequisite.
 
-    They are the options set for `render`, but for the whole path, at full size and strength, with EXR, and without a
-    video of the scene's own views. The default is 30 frames.
+    They are the options set for `render`, but for the whole path, at full size and strength, with EXR of Rec.709, without
+    what only compositors need, and without a video of the scene's own views. The default is 30 frames.
     """
     from stages.render import pinned
 
     config = runner.options.config_of("render", RenderConfig)
     count = runner.options.table("render").get("count", 30)
     video = config.video and path not in OWN_VIEWS
-    return pinned(replace(config, path=path, count=count, scale=1.0, strength=1.0, frames="", exr=True, video=video))
+    plain: dict[str, Any] = {**MEASURABLE, "cryptomatte": False, "deep": False, "st_map": False}
+    plain["deep_samples"] = DEEP_SAMPLES  # bounds nothing without --deep
+    whole: dict[str, Any] = {"count": count, "scale": 1.0, "strength": 1.0, "frames": "", "exr": True, "video": video}
+    return pinned(replace(config, path=path, **whole, **plain))
 
 
 def rendered(

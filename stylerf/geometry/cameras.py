@@ -103,6 +103,10 @@ class Camera:
         x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
         return (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
 
+    def has_ray(self) -> np.ndarray:
+        """Return [height, width] bool, which pixels see anything: all, for a pinhole."""
+        return np.ones((self.height, self.width), bool)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project world points [n, 3] to pixel positions [n, 2] and planar depth [n], <= 0 behind the camera."""
         local = (points - self.center) @ self.world_from_camera[:3, :3]

@@ -10,7 +10,7 @@ from stylerf.fields.marching import ScratchArena
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.ray_samples import Rays
-from stylerf.rendering.rays import alpha_inside, render_rays, with_surface_distance
+from stylerf.rendering.rays import Rendered, alpha_inside, render_rays, with_surface_distance
 
 RAYS_AT_ONCE = 8192
 
@@ -43,6 +43,7 @@ def render_view(
     rays_at_once: int = RAYS_AT_ONCE,
     regions: Mapping[str, np.ndarray] | None = None,
     on_rays: Callable[[int], None] = lambda done: None,
+    on_rendered: Callable[[np.ndarray, Rendered], None] = lambda pixels, rendered: None,
 ) -> RenderedView:
     """Render every pixel center of a camera.
 
@@ -51,6 +52,7 @@ def render_view(
         rays_at_once: bounds memory.
         regions: marked cells [s, s, s] bool by name; their masks come from the very samples of the picture.
         on_rays: called with the number of rays done after each batch.
+        on_rendered: called with the pixels of each batch and their samples, which are gone when it returns.
     """
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
@@ -73,6 +75,7 @@ def render_view(
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
             mask[pixels] = alpha_inside(marked[name], rendered.samples, threads)
+        on_rendered(pixels, rendered)
         on_rays(min(at + rays_at_once, count))
     return view_of(camera, out, inside)
 
@@ -84,7 +87,7 @@ def view_of(camera: Camera, out: np.ndarray, inside: Mapping[str, np.ndarray]) -
         out: [pixels, 5]: premultiplied rgb, alpha, surface distance.
         inside: by region, [pixels] part of alpha that lies in it.
     """
-    out = out.reshape(camera.height, camera.width, 5)
+    out = np.where(camera.has_ray()[..., None], out.reshape(camera.height, camera.width, 5), np.float32(0))
     alpha = np.clip(out[..., 3], 0, 1)
     distance = np.where(alpha > 0, out[..., 4], 0)
     masks = {name: np.minimum(mask.reshape(alpha.shape), alpha) for name, mask in inside.items()}

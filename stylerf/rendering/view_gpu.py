@@ -10,6 +10,7 @@ from stylerf.fields.gpu.field import GpuField, GpuRendered
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
+from stylerf.geometry.lens_camera import LensCamera
 from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.rendering.view import RenderedView, view_of
 
@@ -22,6 +23,8 @@ TRIED_RAYS = 4096
 def rays_of(camera: Camera, number: Tensor) -> GpuRays:
     """Return rays through the centers of pixels [n] (row-major), computed on the pixels' device."""
     count, device = len(number), number.device
+    if isinstance(camera, LensCamera):  # its inverse has no closed form; the CPU keeps it for all frames of a lens
+        return GpuRays.of(*camera.rays(number.cpu().numpy()), device)
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
     y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
     local = torch.stack([x, y, torch.ones_like(x)], 1)

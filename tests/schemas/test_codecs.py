@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from schemas import atomic_write, exr, images
+from schemas import atomic_write, exr_writing, images
 from schemas.errors import OutOfResources
 from schemas.exr import ExrView, write_exr
 from schemas.images import write_png
@@ -24,7 +24,7 @@ def view() -> ExrView:
     ("module", "write"),
     [
         (images, lambda path: write_png(path, np.zeros((4, 6, 3), np.uint8))),
-        (exr, lambda path: write_exr(path, view())),
+        (exr_writing, lambda path: write_exr(path, view())),
         (photo_copies, lambda path: photo_copies._write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
     ],
 )

@@ -269,7 +269,8 @@ def test_a_full_disk_is_reported(tmp_path, view, monkeypatch):
         raise RuntimeError("Failed to write pixel data")
 
     monkeypatch.setattr("OpenEXR.File.write", fail)
-    monkeypatch.setattr("schemas.exr.refusal_of_disk", lambda path, size: OutOfResources(f"no space for {size}"))
+    refused = "schemas.exr_writing.refusal_of_disk"
+    monkeypatch.setattr(refused, lambda path, size: OutOfResources(f"no space for {size}"))
     with pytest.raises(OutOfResources, match="no space for"):
         write_exr(tmp_path / "v.exr", view)
     assert os.listdir(tmp_path) == []

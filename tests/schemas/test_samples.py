@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.exr import FAR_Z, read_exr
+from schemas.lens import Lens, LensDistortion
 from schemas.migrations import CURRENT
 from schemas.scene import read_scene
 from schemas.tensors import load_tensors
@@ -40,8 +41,9 @@ DIGESTS = {
     "edit-dataset-3": "21b0cbf92a99cabc2f992374a796908c837a6f13ba37cddc1a0d947f1a703cc3",
     "edit-3": "345382e39995c10d7491cc6adb13875aeb2f0756d8dc0c7c65f0ddca90dde9cb",
     "report-3": "14e840cd56aab38c6fe562497254cc9b7396bc403277066e8cdb2dd554f59095",
+    "scene-4": "d93f86ac9b4414d293aec1b00194069f32d042e81be0f7d01a6387a7b90eb33f",
 }
-THREADS = {1: None, 2: 2, 3: 2}  # by schema: what the manifest tells of them
+THREADS = {1: None, 2: 2, 3: 2, 4: 2}  # by schema: what the manifest tells of them
 
 
 def test_every_schema_of_every_kind_has_a_sample():
@@ -67,9 +69,12 @@ def test_inputs_of_the_samples_are_the_samples():
 
 
 def test_the_scene_sample_reads_as_a_scene():
-    scene = read_scene(SAMPLES / "scene-3")
+    scene = read_scene(SAMPLES / "scene-4")
     assert scene.layout == "object" and scene.skipped[0].reason == "cut short" and scene.sfm == {"registered": 1}
-    data = load_scene(Artifact(SAMPLES / "scene-3"))
+    distortion = LensDistortion("brown", (0.01, -0.002), (5e-4, -3e-4))
+    assert scene.views[0].lens == Lens(8, 6, 10.5, 10.5, 4, 3.25, distortion)
+    assert read_scene(SAMPLES / "scene-3").views[0].lens is None
+    data = load_scene(Artifact(SAMPLES / "scene-4"))
     assert data.images(0).shape == (3, 4, 4) and len(data.points.xyz) == 2
     np.testing.assert_array_equal(np.unique(data.truth_depth(0)), np.float32([2, FAR_Z]))
 

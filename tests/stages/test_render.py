@@ -19,7 +19,7 @@ FRAME = Frame("a", "", "png/a.png", FrameCamera(4, 3, 5.0, 5.0, 2.0, 1.5, as_mat
 def test_a_frame_with_nan_or_infinity_is_refused(plane, value):
     planes = {"rgb": np.full((3, 4, 3), 0.5), **{name: np.ones((3, 4)) for name in ("alpha", "ray_distance", "z")}}
     view = RenderedView(**planes)
-    assert render_frame(lambda camera, regions: view, FRAME, CAMERA, {}, "fit") is view
+    assert render_frame(lambda camera, regions: (view, None), FRAME, CAMERA, {}, "fit") == (view, None)
     planes[plane].reshape(-1)[5] = value
     with pytest.raises(ArtifactDamaged, match=r"field fit .* frame a"):
-        render_frame(lambda camera, regions: view, FRAME, CAMERA, {}, "fit")
+        render_frame(lambda camera, regions: (view, None), FRAME, CAMERA, {}, "fit")

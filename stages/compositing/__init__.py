@@ -1,0 +1,1 @@
+"""What `render` writes for compositing programs beyond plain frames."""

@@ -1,0 +1,66 @@
+"""Deep views: what lies along the ray of each pixel, as a list of segments with color and alpha of their own."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stylerf.fields.marching import SAMPLES_PER_RAY, space_arrays
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.deep import segments
+from stylerf.rendering.rays import Rendered
+
+
+@dataclass(frozen=True, eq=False)
+class DeepView:
+    """The segments of a view, those of a pixel one after another, front to back, pixels row by row.
+
+    Attributes:
+        counts: [h, w], segments of each pixel.
+        z, z_back: [n], planar depth of begin and end, scene units.
+        rgb: [n, 3], sRGB-encoded, times weight.
+        weights: [n], the part of the pixel's alpha that the segment adds; they sum to alpha.
+    """
+
+    counts: np.ndarray
+    z: np.ndarray
+    z_back: np.ndarray
+    rgb: np.ndarray
+    weights: np.ndarray
+
+
+class DeepCollector:
+    """Collects the segments of a view batch by batch, as render_view renders it."""
+
+    def __init__(self, field: RadianceField, camera: Camera, most: int, threads: int) -> None:
+        """most: segments of a pixel, at least 1."""
+        self._field, self._camera, self._most, self._threads = field, camera, most, threads
+        self._cosines, self._seen = camera.ray_cosines().reshape(-1), camera.has_ray().reshape(-1)
+        self._counts = np.zeros(camera.width * camera.height, np.int64)
+        self._parts: list[np.ndarray] = []
+
+    def add(self, pixels: np.ndarray, rendered: Rendered) -> None:
+        """Add rendered pixels [n]; batches come in the order of the rows, their pixels in any."""
+        counts = np.zeros(len(pixels), np.int64)
+        found = np.empty((len(pixels), self._most, 6), np.float32)
+        segments(
+            rendered.samples, rendered.colors, rendered.rays, space_arrays(self._field.space),
+            np.float32(self._field.step), self._most, SAMPLES_PER_RAY, self._threads, counts, found,
+        )  # fmt: skip
+        counts[~self._seen[pixels]] = 0
+        found[..., :2] *= self._cosines[pixels, None, None]
+        order = np.argsort(pixels)
+        counts, found = counts[order], found[order]
+        self._counts[pixels[order]] = counts
+        self._parts.append(found[np.arange(self._most) < counts[:, None]])
+
+    def view(self) -> DeepView:
+        """Return what has been added, in the field's own colors as its color map changes them."""
+        found = np.concatenate(self._parts)
+        rgb, weights = found[:, 2:5], found[:, 5]
+        if self._field.color_map is not None:
+            import torch
+
+            rgb = self._field.color_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(weights)).numpy()
+        rgb = np.clip(rgb, 0, weights[:, None])
+        return DeepView(self._counts.reshape(self._camera.height, -1), found[:, 0], found[:, 1], rgb, weights)
