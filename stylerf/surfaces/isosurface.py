@@ -58,7 +58,7 @@ def isosurface(
             fresh = joined < 0
             numbers[fresh] = count + np.arange(fresh.sum())
             vertices.append(found[fresh])
-            faces.append(numbers[triangles])
+            faces.append(numbers[triangles[:, ::-1]])  # scikit-image winds them the other way round
             count += int(fresh.sum())
             on_last = found[:, 0] > end - 1 - _MATCH
             seam = found[on_last], numbers[on_last]
