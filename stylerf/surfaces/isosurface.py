@@ -7,7 +7,7 @@ import numpy as np
 from stylerf.surfaces.mesh import Mesh
 
 POINTS_AT_ONCE = 1 << 22  # grid points of a slab: its positions take 50 MB
-_MATCH = 1e-4  # cells; two slabs place the vertices of their common plane within rounding of each other
+_MATCH = 1e-6  # cells; two slabs interpolate the vertices of their common plane from the same values
 
 
 def isosurface(
