@@ -1,6 +1,7 @@
 """Exported meshes and shots, read back by other libraries: where things are, which way is up, what colors they have."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pygltflib
@@ -40,8 +41,6 @@ def inputs(tmp_path_factory) -> dict[str, Artifact]:
     for view in content.views:
         (begun.path / view.image).parent.mkdir(exist_ok=True)
         (begun.path / view.image).write_bytes((plain.path / view.image).read_bytes())
-    from dataclasses import replace
-
     write_scene(begun.path, replace(content, scene_from_source=tuple(map(tuple, SCENE_FROM_SOURCE.tolist()))))
     scene = begun.commit()
     field = solid(lambda points: ball(points - CENTER), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
@@ -112,7 +111,7 @@ def test_export_json_leads_back_to_the_scene(made):
 def test_all_faces_and_scene_units(inputs, tmp_path):
     one = exported(tmp_path, inputs, formats="ply", units="scene", **{**SMALL, "faces": 0})
     mesh = trimesh.load(one.path / "mesh.ply", process=False)
-    np.testing.assert_allclose(middle(mesh.vertices), CENTER, atol=0.01)
+    np.testing.assert_allclose(middle(mesh.vertices), CENTER, atol=0.02)  # no camera sees its bottom
     assert one.manifest.figures["faces"] == len(mesh.faces) > 2000
 
 
@@ -120,16 +119,35 @@ def test_the_same_export_has_the_same_bytes(inputs, made, tmp_path):
     assert exported(tmp_path, inputs, formats="glb,obj,ply", **SMALL).manifest.files == made.manifest.files
 
 
+def complaints(path) -> list[str]:
+    """What usdchecker says of a file: by the validators of usd-core 26, or the checker of those before."""
+    from pxr import Usd, UsdUtils
+
+    if hasattr(UsdUtils, "ComplianceChecker"):
+        checker = UsdUtils.ComplianceChecker(arkit=False, skipARKitRootLayerCheck=True)
+        checker.CheckCompliance(str(path))
+        return [*checker.GetErrors(), *checker.GetFailedChecks(), *checker.GetWarnings()]
+    from pxr import UsdValidation
+
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 10
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(path)))
+    return [one.GetMessage() for one in errors]
+
+
+def test_the_checker_complains_of_a_file_without_an_up_axis(tmp_path):
+    (tmp_path / "bare.usda").write_text('#usda 1.0\n\ndef Xform "a"\n{\n}\n')
+    assert complaints(tmp_path / "bare.usda")
+
+
 @pytest.mark.parametrize("format", ["usda", "usdc"])
 def test_a_shot_holds_camera_and_mesh_and_complies(inputs, made, tmp_path, format):
-    from pxr import Usd, UsdGeom, UsdUtils
+    from pxr import Usd, UsdGeom
 
     options = {"count": 4, "fps": 25.0, "meters_per_unit": 0.01, "formats": format}
     shot = exported(tmp_path, inputs, **{**SMALL, **options, "kind": "shot"})
     path = shot.path / f"shot.{format}"
-    checker = UsdUtils.ComplianceChecker(arkit=False, skipARKitRootLayerCheck=True)
-    checker.CheckCompliance(str(path))
-    assert not (checker.GetErrors() + checker.GetFailedChecks() + checker.GetWarnings())
+    assert complaints(path) == []
     stage = Usd.Stage.Open(str(path))
     assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 0.01)
     assert (stage.GetTimeCodesPerSecond(), stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (25, 1, 4)
