@@ -46,7 +46,7 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
         # Whatever else such a file names would be opened too, from anywhere.
         if others := layer.GetCompositionAssetDependencies():
             raise BadInput(
-                f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat --flatten"
+                f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat -f"
             )
         stage = Usd.Stage.Open(layer)
         prim, size = _camera_of(stage, where)
