@@ -1,4 +1,4 @@
-"""`--path FILE` of other programs: what is not sound is refused in one line, and USD scenes of others are understood."""
+"""`--path FILE` of other programs: unsound files are refused in one line, USD scenes of others are understood."""
 
 import json
 
