@@ -23,6 +23,7 @@ from schemas.scene import Bounds, as_matrix
 from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
+from stages.artifacts.camera_shots import Shot, shots_along
 from stages.artifacts.field import load_field
 from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
@@ -30,7 +31,7 @@ from stages.artifacts.shards import take_frames
 from stages.compositing.deep_frames import deep_samples
 from stages.compositing.exr_views import exr_view
 from stages.compositing.plates import StMaps, map_files, plate_camera, write_st_maps
-from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
+from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order
 from stages.run.progress import Context
@@ -39,7 +40,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.blended_color import BlendedColor
 from stylerf.fields.blending import at_strength
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.camera_paths import PATHS, path_camera
+from stylerf.geometry.camera_paths import PATHS
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.lens_camera import LensCamera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
@@ -50,7 +51,6 @@ SPEC = Spec(
     stage="render", verb="render", revision=3, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
-Shot = tuple[Camera, int | None]
 Renderer = Callable[[Camera, Mapping[str, np.ndarray]], tuple[RenderedView, DeepView | None]]
 WRITTEN_AT_ONCE = 2  # frames; each holds its planes in memory until it is on disk
 
@@ -185,45 +185,16 @@ def pinned(config: RenderConfig) -> RenderConfig:
     if config.path in PATHS:
         return replace(config, path_digest="")
     path = Path(config.path)
-    known = config.path in OWN_VIEWS or not path.is_file()
+    known = config.path in OWN_VIEWS or not path.exists()
     return replace(config, count=1, path_digest="" if known else digest_of_cameras(path))
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     """The cameras to render, each with the index of the scene's view it repeats, or None."""
-    splits = scene.splits
-    own = dict(zip(OWN_VIEWS, (splits["train"], splits["test"], sorted(splits["train"] + splits["test"])), strict=True))
-    if config.path in own:
-        shots: list[Shot] = [_own_shot(scene, i, config) for i in own[config.path]]
-        if not shots:
-            raise BadInput(f"{scene.folder}: the scene has no {config.path} views to render")
-    elif config.path in PATHS:
-        cameras = [scene.cameras[i] for i in own["views"]]
-        focus = _focus_depth(scene)
-        wanted = _chosen(config, config.count)
-        shots = [(path_camera(config.path, cameras, i, config.count, focus), None) for i in wanted]
-        return [(c.scaled(config.scale), v) for c, v in shots]
-    else:
-        shots = [(camera, None) for camera in read_cameras(Path(config.path), scene).cameras]
-    return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in _chosen(config, len(shots))]
-
-
-def _own_shot(scene: SceneData, view: int, config: RenderConfig) -> Shot:
-    if config.plate:  # the view's camera, but not its picture
-        return plate_camera(scene, view), None
-    return scene.cameras[view], view if config.scale == 1 else None
-
-
-def _chosen(config: RenderConfig, count: int) -> range:
-    chosen = frames_of(config.frames, count)
-    if not len(chosen):
-        raise BadInput(f"--frames {config.frames}: the path {config.path} has {count} frames, counted from 0")
-    return chosen
-
-
-def _focus_depth(scene: SceneData) -> float:
-    bounds = scene.bounds
-    return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))
+    shots = shots_along(scene, config.path, config.count, config.frames)
+    if config.plate:  # the views' cameras, but not their pictures
+        return [(plate_camera(scene, view).scaled(config.scale), None) for _, view in shots if view is not None]
+    return [(camera.scaled(config.scale), view if config.scale == 1 else None) for camera, view in shots]
 
 
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig, maps: StMaps | None = None) -> Frame:

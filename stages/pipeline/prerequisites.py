@@ -135,8 +135,8 @@ def ensure_frames(runner: StageRunner, field: Artifact, path: str, name: str) ->
 def frames_config(runner: StageRunner, path: str) -> RenderConfig:
     """Return the options of frames that are rendered as a prerequisite.
 
-    They are the options set for `render`, but for the whole path, at full size and strength, with EXR of Rec.709, without
-    what only compositors need, and without a video of the scene's own views. The default is 30 frames.
+    They are the options set for `render`, but for the whole path, at full size and strength, with EXR of Rec.709,
+    without what only compositors need, and without a video of the scene's own views. The default is 30 frames.
     """
     from stages.render import pinned
 
