@@ -14,7 +14,7 @@ from stylerf.kernels.cpu.splats import Gaussians
 from stylerf.srgb import decoded
 
 EXTENSION = "KHR_gaussian_splatting"
-_FLOAT, _POINTS = 5126, 0
+_FLOAT, _POINTS, _VERTICES = 5126, 0, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
@@ -41,7 +41,7 @@ def write_glb(path: Path, splats: Gaussians) -> None:
         if not accessors:  # required of positions
             accessor |= {"min": block.min(0).tolist(), "max": block.max(0).tolist()}
         accessors.append(accessor)
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": block.nbytes})
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": block.nbytes, "target": _VERTICES})
         blocks.append(block.tobytes())
         at += block.nbytes
     look = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "sortingMethod": "cameraDistance",

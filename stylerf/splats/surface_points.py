@@ -54,7 +54,8 @@ def picture_and_points(
     """
     count, arena = camera.width * camera.height, ScratchArena()
     out = np.empty((count, 4), np.float32)
-    found: list[tuple[np.ndarray, ...]] = []
+    draws = generator.random(count, dtype=np.float32)
+    parts: list[tuple[np.ndarray, ...]] = []
     for at in range(0, count, RAYS_AT_ONCE):
         pixels = np.arange(at, min(at + RAYS_AT_ONCE, count))
         pixels = pixels[np.argsort(pixels // camera.width % threads, kind="stable")]  # as render_view deals rows
@@ -63,21 +64,20 @@ def picture_and_points(
             field, rays, threads=threads, weight_threshold=field.weight_threshold, arena=arena.reset()
         )
         out[pixels] = rendered.out[:, :4]
-        draws = generator.random(len(pixels), dtype=np.float32)
         reach = np.float32(SURFACE_PIXELS / camera.fx)
         chosen, opacities = np.empty(len(pixels), np.int64), np.empty(len(pixels), np.float32)
-        draw_samples(rendered.samples, draws, reach, threads, chosen, opacities)
+        draw_samples(rendered.samples, draws[pixels], reach, threads, chosen, opacities)
         hit = chosen >= 0
         distances = np.minimum(rendered.samples.t[chosen[hit]], farthest)
         centers = rays.origins[hit] + rays.directions[hit] * distances[:, None]
-        found.append((pixels[hit], centers, _colors(field, rendered, hit, chosen[hit]), opacities[hit]))
+        parts.append((pixels[hit], centers, _colors(field, rendered, hit, chosen[hit]), opacities[hit]))
     picture = out.reshape(camera.height, camera.width, 4)
     picture[..., 3] = np.clip(picture[..., 3], 0, 1)
-    pixels, centers, colors, opacities = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    points = SurfacePoints(
-        centers.astype(np.float32), colors.astype(np.float32), opacities, _contrast(picture).reshape(-1)[pixels]
-    )
-    return picture, points
+    pixels, centers, colors, opacities = (np.concatenate(part) for part in zip(*parts, strict=True))
+    order = np.argsort(pixels)  # whatever the number of threads
+    detail = _contrast(picture).reshape(-1)[pixels]
+    found = [centers.astype(np.float32), colors.astype(np.float32), opacities, detail]
+    return picture, SurfacePoints(*(values[order] for values in found))
 
 
 def _colors(field: RadianceField, rendered: Rendered, hit: np.ndarray, chosen: np.ndarray) -> np.ndarray:
