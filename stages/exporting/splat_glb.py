@@ -32,10 +32,12 @@ def write_glb(path: Path, splats: Gaussians) -> None:
     for band in range(splats.harmonics.shape[1]):
         degree = int(band**0.5)
         attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{band - degree * degree}"] = splats.harmonics[:, band]
-    accessors, views, blocks, at = [], [], [], 0
+    accessors: list[dict] = []
+    views: list[dict] = []
+    blocks, at = [], 0
     for values in attributes.values():
         block = np.ascontiguousarray(values, "<f4")
-        accessor = {
+        accessor: dict = {
             "bufferView": len(views), "componentType": _FLOAT, "count": len(block), "type": _TYPES[block.shape[1]],
         }  # fmt: skip
         if not accessors:  # required of positions

@@ -1,4 +1,4 @@
-"""A field as 3D Gaussian splats: placed on its surfaces, optimized against its own renders, measured at held-out views."""
+"""A field as 3D Gaussian splats: placed on its surfaces, optimized against its renders, measured at held-out views."""
 
 import time
 from contextlib import nullcontext

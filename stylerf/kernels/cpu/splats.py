@@ -1,7 +1,7 @@
 """Splatting of anisotropic 3D Gaussians to tiles of pixels, and back (Zwicker et al. 2001; Kerbl et al. 2023).
 
-A Gaussian of center m, scales s and rotation R has the covariance R diag(s)^2 R^T. In a camera with rotation W its image
-is a Gaussian of the covariance
+A Gaussian of center m, scales s and rotation R has the covariance R diag(s)^2 R^T. In a camera with rotation W its
+image is a Gaussian of the covariance
 
     C = J W R diag(s)^2 R^T W^T J^T + BLUR I,   J the Jacobian of the projection at m
 
@@ -357,7 +357,7 @@ def blend_backward(screen, boxes, tile_ends, members, tiles_across, out, gradien
                     most = _ZERO
                     for p in range(4 * PIXELS, 5 * PIXELS):
                         most = max(most, s[p])
-                    ended = most < _LEAST_LEFT
+                    ended = bool(most < _LEAST_LEFT)
 
 
 @parallel_kernel

@@ -42,11 +42,11 @@ def test_thinning_keeps_within_the_limit_and_prefers_detail():
 
 def test_gaussians_lie_flat_on_the_surface():
     gaussians = on_surfaces(thinned(points_on_a_plane(20000), BOX, 3000), 1, 1)
-    w, x, y, z = gaussians.quaternions.T
+    _, x, y, _ = gaussians.quaternions.T
     normal_z = 1 - 2 * (x * x + y * y)  # of the third axis, which is the thin one
     assert np.percentile(np.abs(normal_z), 1) > 0.999
     assert (gaussians.log_scales[:, 2] < gaussians.log_scales[:, 0] - 1).all()
-    np.testing.assert_allclose(0.5 + 0.28209479 * gaussians.harmonics[:, 0], [[1, 0, 0]] * len(w), atol=1e-5)
+    np.testing.assert_allclose(0.5 + 0.28209479 * gaussians.harmonics[:, 0], [[1, 0, 0]] * len(x), atol=1e-5)
     assert gaussians.harmonics.shape[1:] == (4, 3) and not gaussians.harmonics[:, 1:].any()
 
 
