@@ -68,7 +68,7 @@ def _camera_path(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) 
 
 def _gaussians(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> ExportedFile:
     to = job.placed("cameras.json", camera_axes="OpenCV")
-    _say_of_centers(job, cameras, to.path)
+    _say_of_centers(job, cameras, to.path, square=False)
     camera_lists.write_3dgs(job.folder / to.path, placed_cameras(cameras, to))
     return to
 
@@ -116,13 +116,15 @@ _WRITERS: dict[str, _Writer] = {
 }
 
 
-def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str) -> None:
-    """Say what a format that has a field of view, but neither principal point nor two focal lengths, loses."""
+def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str, square: bool = True) -> None:
+    """Say what a format loses that has no principal point and, if `square`, one focal length."""
+
     def shift(one: Camera) -> float:
-        return max(abs(one.cx - one.width / 2), abs(one.cy - one.height / 2), abs(one.fx / one.fy - 1) * one.width)
+        off = max(abs(one.cx - one.width / 2), abs(one.cy - one.height / 2))
+        return max(off, abs(one.fx / one.fy - 1) * one.width) if square else off
 
     if (largest := max(map(shift, cameras))) > 0.01:
         job.say(
-            f"{name} holds no principal point and one focal length: its cameras are off by up to {largest:.2g} pixels; "
-            "transforms, colmap and usd hold both"
+            f"{name} holds no principal point{' and one focal length' if square else ''}: its cameras are off by up to "
+            f"{largest:.2g} pixels; transforms, colmap and usd hold all"
         )
