@@ -1,7 +1,7 @@
 """Splats against the fields they are made of: `python -m benchmarks.splats WORK OUT.json [BUDGET [SPLATS [FIELD...]]]`.
 
-Protocol: every field of the work folder (or those named) is exported with BUDGET (seconds, or steps) and SPLATS; PSNR at
-held-out views, of the splats against the field and of both against the photos, as `stylerf export` reports it. The
+Protocol: every field of the work folder (or those named) is exported with BUDGET (seconds, or steps) and SPLATS; PSNR
+at held-out views, of the splats against the field and of both against the photos, as `stylerf export` says. The
 load before each export is recorded: the budget of time is wall time.
 """
 
@@ -35,7 +35,13 @@ def main() -> None:
     splats = int(sys.argv[4]) if len(sys.argv) > 4 else SPLATS
     fields = sys.argv[5:] or sorted(path.name for path in (work / "field").iterdir())
     rows = [measure(work, field, budget, splats) for field in fields]
-    out.write_text(json.dumps({**here_and_now(), "rows": rows}, indent=1) + "\n")
+    report = {
+        "command": f"python -m benchmarks.splats WORK OUT.json {budget} {splats}",
+        "protocol": __doc__.split("Protocol: ")[1],
+        **here_and_now(),
+        "rows": rows,
+    }
+    out.write_text(json.dumps(report, indent=1) + "\n")
 
 
 if __name__ == "__main__":
