@@ -98,7 +98,13 @@ def _pictures(job: ExportJob) -> tuple[list[_View], SurfacePoints]:
         if seconds and done >= FEWEST_VIEWS and time.monotonic() - began > VIEW_TIME * seconds:
             break
     job.context.progress.finish()
-    return views, SurfacePoints.joined(parts)
+    points = SurfacePoints.joined(parts)
+    if len(points.centers) < len(views):
+        raise BadInput(
+            f"{job.inputs['field'].path}: the field shows nothing in {len(views)} views, or less than a pixel in each: "
+            "there is no surface to place splats on"
+        )
+    return views, points
 
 
 def _optimize(job: ExportJob, optimizer: SplatOptimizer, views: list[_View], began: float) -> None:
