@@ -15,13 +15,14 @@ from schemas.safe_reading import allowance
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.configs.pose_import import ImportConfig
+from stages.configs.pose_import import FRAMES, ImportConfig
 from stages.readers import found_in, read_source
 from stages.readers.background import Background, Evidence, evidence_of
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
 from stages.readers.transforms import lists_of
+from stages.readers.video import VIDEOS, clips_of, frames_as_photos
 from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
@@ -38,6 +39,8 @@ def digest_of_source(source: Path, format: str = "auto", images: str = "") -> st
     Other files do not count. BadInput if the source cannot be read.
     """
     kind = found_in(source, format).kind
+    if kind == "video":
+        return digest_of([kind, [[one.name, _content(one)] for one in video_of(source)]])
     if kind == "photos":
         photos = photos_of(source, images)
         plain = [SourceCamera(one.stem, path_in_source(one, source), one, np.eye(4)) for one in photos]
@@ -93,7 +96,12 @@ def run(inputs: dict[str, Artifact], config: ImportConfig, partial: PartialArtif
 def _source(config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
     source = Path(config.source)
     found = found_in(source, config.format)
+    _check_options(found.kind, config)
+    if found.kind == "video":
+        return _of_video(video_of(source), config, partial, context)
     if found.kind == "photos":
+        for remark in found.remarks:
+            context.progress.say(remark)
         photos = photos_of(source, config.images)
         if others := unreadable_beside(photos):
             kinds = sorted({one.suffix for one in others})
@@ -111,6 +119,30 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
     for remark in scene.remarks:
         context.progress.say(remark)
     return scene
+
+
+def video_of(source: Path) -> list[Path]:
+    """List the clips at `source`; BadInput if there are none."""
+    if clips := clips_of(source):
+        return clips
+    raise BadInput(f"{source} holds no video ({', '.join(VIDEOS)}); give a clip or a folder of clips")
+
+
+def _check_options(kind: str, config: ImportConfig) -> None:
+    if kind == "video" and config.images:
+        raise BadInput("--images names a folder of photos; leave it out for video")
+    if kind != "video" and config.frames != FRAMES:
+        raise BadInput(f"--frames is for video, and {config.source} holds {kind}; leave it out")
+
+
+def _of_video(clips: list[Path], config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
+    chosen = frames_as_photos(clips, config.frames, partial.checkpoint / "frames", context)
+    scene = reconstructed(
+        [photo for photo, _ in chosen], partial.checkpoint / "frames", partial.checkpoint, context,
+        matching=config.matching, side=config.sfm_side, features=config.sfm_features, shared=config.one_camera,
+        clips=tuple(clip for _, clip in chosen),
+    )  # fmt: skip
+    return replace(scene, kind="video, by structure from motion")
 
 
 def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
