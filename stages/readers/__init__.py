@@ -14,7 +14,7 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, photos or video. also: other formats found. remarks: lines for the user."""
+    """What a source holds. kind: one of FORMATS, photos or video. also: other formats found. remarks: for the user."""
 
     kind: str
     also: tuple[str, ...] = ()
@@ -61,7 +61,8 @@ def _without_poses(source: Path) -> Found:
     if clips and not photos:
         return Found("video")
     names = ", ".join(printable(one.name) for one in clips[:3]) + (", ..." if len(clips) > 3 else "")
-    return Found("photos", remarks=(f"video is not used beside photos ({names}); --format video takes it",) * bool(clips))
+    remark = f"video is not used beside photos ({names}); --format video takes it"
+    return Found("photos", remarks=(remark,) if clips else ())
 
 
 def detected(source: Path) -> list[str]:
