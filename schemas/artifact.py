@@ -22,6 +22,7 @@ MADE_BY: dict[str, str] = {
     "region": "stylerf select WORK",
     "edit-dataset": "stylerf extract WORK",
     "edit": "stylerf stylize WORK --region NAME",
+    "export": "stylerf export WORK",
     "report": "stylerf eval WORK",
 }
 
@@ -40,6 +41,7 @@ VERB_OF: dict[str, str] = {
     "distill": "distill",
     "finetune": "finetune",
     "render": "render",
+    "export": "export",
     "evaluate": "eval",
 }
 

@@ -20,6 +20,7 @@ CURRENT: dict[str, int] = {
     "edit-dataset": 3,
     "edit": 3,
     "report": 3,
+    "export": 1,
 }
 
 Json = dict[str, Any]
@@ -71,8 +72,8 @@ def _with_new_names(content: Json, folder: Path) -> Json:
 
 # (kind, schema) -> function(manifest of that schema, folder) -> manifest of the next schema. Nothing is written.
 MIGRATIONS: dict[tuple[str, int], Migration] = {
-    **{(kind, 1): _without_threads for kind in CURRENT},
-    **{(kind, 2): _with_new_names for kind in CURRENT},
+    **{(kind, 1): _without_threads for kind, newest in CURRENT.items() if newest > 1},
+    **{(kind, 2): _with_new_names for kind, newest in CURRENT.items() if newest > 2},
 }
 
 

@@ -21,17 +21,18 @@ from schemas.scene import Bounds, as_matrix
 from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
+from stages.artifacts.camera_shots import Shot, shots_along
 from stages.artifacts.field import load_field
 from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
-from stages.configs.render import OWN_VIEWS, RenderConfig, frames_of
+from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.geometry.camera_paths import PATHS, path_camera
+from stylerf.geometry.camera_paths import PATHS
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture, render_view
@@ -40,7 +41,6 @@ SPEC = Spec(
     stage="render", verb="render", revision=2, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
-Shot = tuple[Camera, int | None]
 WRITTEN_AT_ONCE = 2  # frames; each holds its planes in memory until it is on disk
 
 
@@ -138,33 +138,8 @@ def pinned(config: RenderConfig) -> RenderConfig:
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
     """The cameras to render, each with the index of the scene's view it repeats, or None."""
-    splits = scene.splits
-    own = dict(zip(OWN_VIEWS, (splits["train"], splits["test"], sorted(splits["train"] + splits["test"])), strict=True))
-    if config.path in own:
-        shots: list[Shot] = [(scene.cameras[i], i if config.scale == 1 else None) for i in own[config.path]]
-        if not shots:
-            raise BadInput(f"{scene.folder}: the scene has no {config.path} views to render")
-    elif config.path in PATHS:
-        cameras = [scene.cameras[i] for i in own["views"]]
-        focus = _focus_depth(scene)
-        wanted = _chosen(config, config.count)
-        shots = [(path_camera(config.path, cameras, i, config.count, focus), None) for i in wanted]
-        return [(c.scaled(config.scale), v) for c, v in shots]
-    else:
-        shots = [(camera, None) for camera in read_cameras(Path(config.path), scene).cameras]
-    return [(shots[i][0].scaled(config.scale), shots[i][1]) for i in _chosen(config, len(shots))]
-
-
-def _chosen(config: RenderConfig, count: int) -> range:
-    chosen = frames_of(config.frames, count)
-    if not len(chosen):
-        raise BadInput(f"--frames {config.frames}: the path {config.path} has {count} frames, counted from 0")
-    return chosen
-
-
-def _focus_depth(scene: SceneData) -> float:
-    bounds = scene.bounds
-    return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))
+    shots = shots_along(scene, config.path, config.count, config.frames)
+    return [(camera.scaled(config.scale), view if config.scale == 1 else None) for camera, view in shots]
 
 
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig) -> Frame:

@@ -23,6 +23,7 @@ from stages.configs.deform import DeformConfig
 from stages.configs.demo import DemoConfig
 from stages.configs.edit import DistillConfig, ExtractConfig, FinetuneConfig, RegionConfig, WholeEditConfig
 from stages.configs.evaluate import EvaluateConfig
+from stages.configs.export import ExportConfig
 from stages.configs.fit import FitConfig
 from stages.configs.pose_import import ImportOptions
 from stages.configs.render import RenderConfig, label_of
@@ -31,6 +32,7 @@ from stages.configs.stress import StressConfig
 from stages.configs.stylize import StylizeConfig
 from stages.pipeline import evaluation, local_edit, prerequisites, stylization
 from stages.pipeline.demo import Demo, run_demo
+from stages.pipeline.exporting import exported
 from stages.pipeline.resources import claim, usable_threads
 from stages.pipeline.stage_runner import DefaultOptions, Machine, Request, StageOptions, StageRunner
 from stages.pipeline.stress import Baselines, stressed
@@ -231,6 +233,12 @@ class Pipeline:
         config = pinned(config or RenderConfig())
         default = f"{field.name}-{label_of(config.path)}" + (f"-{config.frames}" if config.frames else "")
         return prerequisites.rendered(self._runner, field, config, default, Request(name, force))
+
+    def export(
+        self, config: ExportConfig | None = None, *, of: Field = "", name: str = "", force: bool = False
+    ) -> Artifact:
+        """Export a field (by default the newest) or cameras; return the export, named <field>-<kind>."""
+        return exported(self._runner, config or ExportConfig(), _name(of), Request(name, force))
 
     def evaluate(
         self,

@@ -32,6 +32,9 @@ RECORDED_PACKAGES = {
     "OpenImageIO": "OpenImageIO",
     "safetensors": "safetensors",
     "av": "av",
+    "pxr": "usd-core",
+    "pygltflib": "pygltflib",
+    "fast_simplification": "fast-simplification",
 }
 
 

@@ -1,0 +1,1 @@
+"""What `stylerf export` writes: one module per kind, each with `write(job)`."""

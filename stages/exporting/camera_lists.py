@@ -1,0 +1,77 @@
+"""Lists of cameras as JSON: transforms.json and camera_path.json of nerfstudio, cameras.json of 3D Gaussian splatting.
+
+Cameras are in the coordinates of the file, with OpenCV axes; the writers turn them to the axes of each format.
+"""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from schemas.atomic_write import write_json
+from stylerf.geometry.cameras import Camera
+
+_OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_SPLITS = {"train": ("train_filenames",), "test": ("val_filenames", "test_filenames")}
+
+
+def opengl_pose(camera: Camera) -> np.ndarray:
+    """Return camera-to-world [4, 4] with x right, y up, z backward."""
+    pose: np.ndarray = camera.world_from_camera @ _OPENGL_FROM_OPENCV
+    return pose
+
+
+def vertical_fov(camera: Camera) -> float:
+    """Return the vertical field of view about the image's center, degrees: 2 atan(height / (2 fy))."""
+    return math.degrees(2 * math.atan(camera.height / (2 * camera.fy)))
+
+
+def write_transforms(path: Path, cameras: list[Camera], splits: dict[str, str], photo: str) -> None:
+    """Write nerfstudio's transforms.json, each frame with its own lens.
+
+    Args:
+        splits: train, test or "" by camera's name; listed if any is known.
+        photo: pattern of file_path; {} is the camera's name.
+    """
+    frames = [
+        {
+            "file_path": photo.format(one.name), "w": one.width, "h": one.height, "fl_x": one.fx, "fl_y": one.fy,
+            "cx": one.cx, "cy": one.cy, "transform_matrix": opengl_pose(one).tolist(),
+        }
+        for one in cameras
+    ]  # fmt: skip
+    lists = {
+        key: [photo.format(one.name) for one in cameras if splits[one.name] == split]
+        for split, keys in _SPLITS.items()
+        if any(splits.values())
+        for key in keys
+    }
+    write_json(path, {"camera_model": "PINHOLE", "frames": frames, **lists})
+
+
+def write_camera_path(path: Path, cameras: list[Camera], fps: float) -> None:
+    """Write nerfstudio's camera_path.json, for a frame that its dataparser has not changed."""
+    entries = [
+        {
+            "camera_to_world": opengl_pose(one).ravel().tolist(), "fov": vertical_fov(one),
+            "aspect": one.width / one.height,
+        }
+        for one in cameras
+    ]  # fmt: skip
+    write_json(path, {
+        "camera_type": "perspective", "render_width": cameras[0].width, "render_height": cameras[0].height,
+        "fps": fps, "seconds": len(cameras) / fps, "is_cycle": False, "smoothness_value": 0.0,
+        "camera_path": entries,
+    })  # fmt: skip
+
+
+def write_3dgs(path: Path, cameras: list[Camera]) -> None:
+    """Write cameras.json as the reference code of 3D Gaussian splatting does: rotation camera-to-world, OpenCV axes."""
+    write_json(path, [
+        {
+            "id": index, "img_name": one.name, "width": one.width, "height": one.height,
+            "position": one.center.tolist(), "rotation": one.world_from_camera[:3, :3].tolist(),
+            "fy": one.fy, "fx": one.fx,
+        }
+        for index, one in enumerate(cameras)
+    ])  # fmt: skip

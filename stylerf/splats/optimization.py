@@ -1,0 +1,91 @@
+"""Optimization of 3D Gaussians against pictures: Adam on the gradients of the rasterizer (Kerbl et al. 2023).
+
+Centers move in units of each Gaussian's own size, so that one learning rate serves near and far. No Gaussian outgrows
+the spacing that it was placed at, or stretches to a needle: between the views that it learns from, both would show.
+"""
+
+import numpy as np
+
+from stylerf.geometry.cameras import Camera
+from stylerf.kernels.cpu.splats import Gaussians
+from stylerf.splats.rasterizer import splat, splat_backward
+from stylerf.training.common.adam import Adam
+
+CENTER_RATE, SCALE_RATE, TURN_RATE, OPACITY_RATE, COLOR_RATE = 0.05, 0.02, 0.01, 0.05, 0.02
+LAST_RATE = 0.1  # of the first; rates fall exponentially
+SHARED_BANDS = 0.2  # rate of the bands above the constant one, of its rate
+EDGE = 0.05  # of the color range: errors below count by their square, above by their size (Charbonnier)
+WIDEST, NARROWEST = 4.0, 0.05  # standard deviations, of the one that a Gaussian was placed with
+LONGEST = 4.0  # largest standard deviation, of the second largest
+LIMITED_EVERY = 8  # steps
+FAINTEST = 0.02  # opacity below which a Gaussian is dropped at the end
+
+
+class SplatOptimizer:
+    """Gaussians and their Adam moments.
+
+    Args:
+        gaussians: where they start.
+        near: least depth at which Gaussians are drawn, scene units.
+        threads: cores; the result does not depend on them.
+    """
+
+    def __init__(self, gaussians: Gaussians, near: float, threads: int) -> None:
+        self.near, self.threads, self.steps = near, threads, 0
+        self.gaussians = Gaussians(*(np.array(values, np.float32) for values in gaussians))
+        self._sizes = np.exp(gaussians.log_scales).max(1, keepdims=True).astype(np.float32)
+        self._start = gaussians.centers.astype(np.float32)
+        self._offsets = np.zeros_like(self._start)
+        g, bands = self.gaussians, gaussians.harmonics.shape[1]
+        color = np.full((1, bands, 1), COLOR_RATE * SHARED_BANDS, np.float32)
+        color[:, 0] = COLOR_RATE
+        # One learning rate an array: bands above the constant one learn in units of their own.
+        self._units = color / COLOR_RATE
+        self._colors = g.harmonics / self._units
+        arrays = self._offsets, g.log_scales, g.quaternions, g.logits, self._colors
+        rates = CENTER_RATE, SCALE_RATE, TURN_RATE, OPACITY_RATE, COLOR_RATE
+        self._adams = [Adam(a.reshape(-1), [(0, a.size, rate)], 1) for a, rate in zip(arrays, rates, strict=True)]
+        self._gradients = Gaussians(
+            *(adam.gradients[0].reshape(a.shape) for adam, a in zip(self._adams, arrays, strict=True))
+        )
+
+    def step(self, camera: Camera, target: np.ndarray, progress: float) -> float:
+        """Take one step towards a picture.
+
+        Args:
+            target: [h, w, 4] float32: premultiplied rgb, sRGB-encoded, and alpha, so that what is empty stays empty.
+            progress: 0..1, how much of the optimization is done.
+
+        Returns:
+            Mean squared error of the rgb before the step.
+        """
+        drawn = splat(self.gaussians, camera, near=self.near, threads=self.threads)
+        difference = drawn.image - target
+        gradients = difference / np.sqrt(difference * difference + np.float32(EDGE * EDGE))
+        splat_backward(self.gaussians, drawn, gradients, self._gradients, self.threads)
+        self._gradients.centers[:] *= self._sizes
+        self._gradients.harmonics[:] *= self._units
+        for adam in self._adams:
+            adam.step(LAST_RATE**progress)
+        self.gaussians.centers[:] = self._start + self._sizes * self._offsets
+        self.gaussians.harmonics[:] = self._colors * self._units
+        self.steps += 1
+        if self.steps % LIMITED_EVERY == 0:
+            self._limit()
+        return float(np.mean(difference[..., :3] ** 2))
+
+    def result(self) -> Gaussians:
+        """Return the Gaussians that are not too faint to see, with unit quaternions."""
+        self._limit()
+        g = self.gaussians
+        kept = g.logits > np.log(FAINTEST / (1 - FAINTEST))
+        lengths = np.linalg.norm(g.quaternions, axis=1, keepdims=True)
+        turned = g._replace(quaternions=g.quaternions / np.maximum(lengths, 1e-12))
+        return Gaussians(*(values[kept] for values in turned))
+
+    def _limit(self) -> None:
+        """Keep scales within their limits."""
+        scales, sizes = self.gaussians.log_scales, np.log(self._sizes)
+        np.clip(scales, sizes + np.log(NARROWEST), sizes + np.log(WIDEST), out=scales)
+        second = np.sort(scales, axis=1)[:, 1:2]
+        np.minimum(scales, second + np.float32(np.log(LONGEST)), out=scales)
