@@ -15,9 +15,10 @@ class ImportOptions:
 
     format: str = option(
         "auto",
-        choices=("auto", *FORMATS, "photos", "video"),
+        choices=("auto", *FORMATS, "photos", "video", "splats"),
         help="format of the "
-        "poses (auto: by the files that are there; photos, video: none, find them by structure from motion)",
+        "poses (auto: by the files that are there; photos, video: none, find them by structure from motion; "
+        "splats: of 3D Gaussian splatting, seen from its cameras)",
     )
     images: str = option(
         "",
@@ -27,6 +28,13 @@ class ImportOptions:
         digest="source_digest",
     )
     frames: int = option(FRAMES, help="frames to choose from video, even in motion and sharp")
+    cameras: str = option(
+        "",
+        metavar="PATH",
+        help="cameras that see the splats, if not the cameras.json beside them: such a list, a COLMAP model or a "
+        "transforms.json",
+        digest="source_digest",
+    )
     downscale: float = option(1.0, help="divide the photos' sides by this")
     max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")
     layout: str = option(

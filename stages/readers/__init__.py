@@ -14,7 +14,7 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, photos or video. also: other formats found. remarks: for the user."""
+    """What a source holds. kind: one of FORMATS, photos, video or splats. also: other formats found. remarks: for the user."""
 
     kind: str
     also: tuple[str, ...] = ()
@@ -23,7 +23,7 @@ class Found:
 
 def found_in(source: Path, format: str = "auto") -> Found:
     """Pick the format to read: the requested one, or the most complete of those found; photos if there are no poses,
-    and video if there are no photos either.
+    and splats or video if there are no photos either.
 
     Raises:
         BadInput: `source` does not exist, or its only poses are of an unsupported format.
@@ -54,10 +54,13 @@ def found_in(source: Path, format: str = "auto") -> Found:
 def _without_poses(source: Path) -> Found:
     from stages.readers.photo_folder import folder_of
     from stages.readers.source import images_in
+    from stages.readers.splats import splats_in
     from stages.readers.video import clips_of
 
     photos = source.is_dir() and images_in(folder_of(source))
     clips = clips_of(source)
+    if not photos and splats_in(source):
+        return Found("splats")
     if clips and not photos:
         return Found("video")
     names = ", ".join(printable(one.name) for one in clips[:3]) + (", ..." if len(clips) > 3 else "")
