@@ -132,7 +132,7 @@ def pinned(config: RenderConfig) -> RenderConfig:
     if config.path in PATHS:
         return replace(config, path_digest="")
     path = Path(config.path)
-    known = config.path in OWN_VIEWS or not path.is_file()
+    known = config.path in OWN_VIEWS or not path.exists()
     return replace(config, count=1, path_digest="" if known else digest_of_cameras(path))
 
 

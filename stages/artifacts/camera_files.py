@@ -1,8 +1,7 @@
-"""Files of cameras for `stylerf render --path`: a list of ours, frames.json, nerfstudio's camera_path.json, and any
-transforms.json."""
+"""Files of cameras for `stylerf render --path`: a list of ours, frames.json, nerfstudio's camera_path.json, any
+transforms.json, COLMAP models, cameras.json of 3D Gaussian splatting, .chan and USD."""
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +11,16 @@ from schemas.errors import BadInput
 from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
 from schemas.safe_names import printable
 from schemas.safe_reading import read_json
+from stages.artifacts.camera_formats import is_3dgs, read_3dgs, read_chan, read_colmap
+from stages.artifacts.placed_cameras import CameraFile, checked, in_scene
 from stages.artifacts.scene import SceneData
-from stages.readers import transforms
+from stages.artifacts.usd_cameras import SUFFIXES, read_usd
+from stages.readers import model_folders, transforms
 from stages.readers.checked_values import entry_of, number, row, size
+from stages.readers.colmap_model import files_of
 from stages.readers.photos import lens_without_photo
 from stylerf.errors import InvalidValue
-from stylerf.geometry.camera_conventions import checked_pose, from_opengl, with_last_row
+from stylerf.geometry.camera_conventions import from_opengl, with_last_row
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
 
@@ -25,16 +28,11 @@ from stylerf.geometry.scene_normalization import moved
 OF_NERFSTUDIO = "dataparser_transforms.json"
 
 
-@dataclass(frozen=True, eq=False)
-class CameraFile:
-    """Cameras in scene units, in the order of the frames, and what to say of how they were read, a line each."""
-
-    cameras: list[Camera]
-    remarks: tuple[str, ...] = ()
-
-
 def digest_of_cameras(path: Path) -> str:
-    """Return the digest of the file and of the one with nerfstudio's frame, if there is one."""
+    """Return the digest of the file, or a model's files, and of the one with nerfstudio's frame, if there is one."""
+    if path.is_dir():
+        files = [one for folder in model_folders(path) for one in files_of(folder)]
+        return digest_of([[one.name, file_sha256(one)] for one in files])
     beside = path.parent / OF_NERFSTUDIO
     return digest_of([file_sha256(path), file_sha256(beside)]) if beside.is_file() else file_sha256(path)
 
@@ -42,6 +40,12 @@ def digest_of_cameras(path: Path) -> str:
 def read_cameras(path: Path, scene: SceneData) -> CameraFile:
     """The cameras of a file, in scene units; BadInput where it is of no known form, or a camera is not sound."""
     where = f"--path {printable(str(path))}"
+    if path.is_dir():
+        return _checked_sizes(read_colmap(path, scene, where), where)
+    if path.suffix.lower() == ".chan" and path.exists():
+        return _checked_sizes(read_chan(path, scene, where), where)
+    if path.suffix.lower() in SUFFIXES and path.exists():
+        return _checked_sizes(read_usd(path, scene, where), where)
     try:
         content = read_json(path)
     except FileNotFoundError as error:
@@ -53,6 +57,8 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
         found = _nerfstudio(content, path, scene, where)
     elif "frames" in keys:
         found = _transforms(path, scene, where)
+    elif is_3dgs(content):
+        found = read_3dgs(content, scene, where)
     elif isinstance(content, list) or "views" in keys:
         found = _ours(content if isinstance(content, list) else content["views"], scene.cameras[0], where)
     else:
@@ -61,6 +67,11 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
             f"{where} is {what}; a list of cameras was expected, each with world_from_camera, or an object with "
             "`views` (frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
         )
+    return _checked_sizes(found, where)
+
+
+def _checked_sizes(found: CameraFile, where: str) -> CameraFile:
+    """Refuse an empty list, and pictures too large to render."""
     if not found.cameras:
         raise BadInput(f"{where}: a list of cameras was expected, it is empty")
     for index, camera in enumerate(found.cameras):
@@ -105,7 +116,7 @@ def _transforms(path: Path, scene: SceneData, where: str) -> CameraFile:
         for index, one in enumerate(source.cameras):
             width, height = one.size or (like.width, like.height)
             lens = lens_without_photo(one, (width, height))
-            pose = _in_scene(one.world_from_camera, scene, f"frame {index}")
+            pose = in_scene(one.world_from_camera, scene, f"frame {index}")
             cameras.append(Camera(f"{index:04d}", width, height, *lens, pose))
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
@@ -139,7 +150,7 @@ def _nerfstudio(content: dict, path: Path, scene: SceneData, where: str) -> Came
         if not 0 < angle < 180:
             raise BadInput(f"{name}: fov is {angle:g} degrees, expected 0 to 180")
         focal = height / 2 / math.tan(math.radians(angle) / 2)
-        pose = _in_scene(moved(_checked(pose, name), undo), scene, name)
+        pose = in_scene(moved(checked(pose, name), undo), scene, name)
         cameras.append(Camera(f"{index:04d}", width, height, focal, focal, width / 2, height / 2, pose))
     return CameraFile(cameras, remarks)
 
@@ -157,20 +168,8 @@ def _source_from_nerfstudio(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     values = [value for one in rows for value in one] if isinstance(rows, list) and all(
         isinstance(one, list) for one in rows
     ) else rows  # fmt: skip
-    turn = _checked(with_last_row(row(values, 12, f"{where}: transform").reshape(3, 4)), where)
+    turn = checked(with_last_row(row(values, 12, f"{where}: transform").reshape(3, 4)), where)
     scale = number(content, "scale", where)
     if not scale > 0:
         raise BadInput(f"{where}: scale is {scale:g}, expected more than 0")
     return np.linalg.inv(np.diag([scale, scale, scale, 1]) @ turn), ()
-
-
-def _in_scene(pose: np.ndarray, scene: SceneData, where: str) -> np.ndarray:
-    """A pose of the scene's source in scene units."""
-    return moved(_checked(pose, where), np.array(scene.scene.scene_from_source))
-
-
-def _checked(pose: np.ndarray, where: str) -> np.ndarray:
-    try:
-        return checked_pose(pose)
-    except InvalidValue as error:
-        raise BadInput(f"{where}: {error}") from error

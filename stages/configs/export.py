@@ -4,15 +4,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from stages.configs import advanced, option
+from stages.configs.fit import budget_of
 from stages.configs.render import OWN_VIEWS, SLOWEST_FPS
 
 # Formats of each kind of export, the default ones first.
 FORMATS: dict[str, tuple[str, ...]] = {
     "mesh": ("glb", "obj", "ply"),
+    "splats": ("ply", "spz", "glb", "usdc", "usda"),
     "cameras": ("transforms", "colmap", "camera-path", "3dgs", "chan", "usd", "colmap-text"),
     "shot": ("usdc", "usda"),
 }
-DEFAULT_FORMATS = {"mesh": 1, "cameras": 2, "shot": 1}  # how many of them are written if none are named
+DEFAULT_FORMATS = {"mesh": 1, "splats": 1, "cameras": 2, "shot": 1}  # how many of them are written if none are named
+MOST_SPLATS = 5_000_000
 WITH_PHOTOS = ("transforms", "colmap", "colmap-text")  # formats that list the photos of their cameras
 _MESHES = ("mesh", "shot")
 _ALONG_PATHS = ("cameras", "shot")
@@ -25,7 +28,7 @@ class ExportConfig:
     kind: str = option("mesh", flag="--as", choices=tuple(FORMATS), help="what to export (default: mesh)")
     formats: str = option(
         "", flag="--format", metavar="F,F...",
-        help="formats, separated by commas (default: glb, transforms and colmap, or usdc; docs/how-to/export.md)",
+        help="formats, separated by commas (default: glb, ply, transforms and colmap, or usdc; docs/how-to/export.md)",
     )  # fmt: skip
     units: str = option(
         "source", choices=("source", "scene"), help="coordinates of the photos' source, or normalized scene units"
@@ -41,6 +44,8 @@ class ExportConfig:
     faces: int = option(200_000, help="most triangles of a mesh, 0 for all")
     resolution: int = option(256, help="cells of the marching-cubes grid along a side, mean of the three")
     keep_pieces: bool = option(False, help="keep small loose pieces of a mesh")
+    splats: int = option(300_000, help="most splats")
+    budget: str = option("2m", help="time (60s, 2m) or number of steps to optimize splats in")
     reach: float = advanced(
         8.0, help="how far a capture is meshed, in sizes of its inner box, or in nearest depths if forward-facing"
     )
@@ -55,19 +60,24 @@ class ExportConfig:
             raise ValueError("count must be at least 1, fps in [1/1001, 240] and meters-per-unit in (0, 1e6]")
         if not (16 <= self.resolution <= 1024 and 1 < self.reach <= 1e4 and (self.faces == 0 or self.faces >= 100)):
             raise ValueError("resolution must be 16 to 1024, reach in (1, 1e4], and faces 0 or at least 100")
+        if not 100 <= self.splats <= MOST_SPLATS:
+            raise ValueError(f"splats must be 100 to {MOST_SPLATS:,}")
+        budget_of(self.budget)
         if idle := self._idle():
             raise ValueError(f"{idle} would do nothing in an export --as {self.kind} of {', '.join(self.chosen)}")
 
     def _idle(self) -> str:
         """Return the first option that is set, but has no effect on this kind of export; "" without one."""
         own = self.along in OWN_VIEWS
-        usd = self.kind == "shot" or "usd" in self.chosen
+        usd = self.kind == "shot" or bool({"usd", "usda", "usdc"} & set(self.chosen))
         used = {
             "path": self.kind in _ALONG_PATHS,
             "count": self.kind in _ALONG_PATHS and not own,
             "fps": self.kind == "shot" or bool({"camera-path", "chan", "usd"} & set(self.chosen)),
             "photos": self.kind == "cameras" and own and bool(set(WITH_PHOTOS) & set(self.chosen)),
             "meters_per_unit": usd,
+            "splats": self.kind == "splats",
+            "budget": self.kind == "splats",
         } | dict.fromkeys(("faces", "resolution", "keep_pieces", "reach"), self.kind in _MESHES)
         defaults: Any = ExportConfig.__dataclass_fields__
         idle = [name for name, there in used.items() if not there and getattr(self, name) != defaults[name].default]

@@ -17,8 +17,9 @@ class RenderConfig:
     path: str = option(
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
-        help="cameras: the scene's own views; a path around, in front of or through them; or a JSON file: "
-        "frames.json of a render, nerfstudio's camera_path.json, or transforms.json (docs/artifacts.md)",
+        help="cameras: the scene's own views; a path around, in front of or through them; or a file: "
+        "frames.json, camera_path.json, transforms.json, cameras.json, .chan, USD, or a COLMAP model's folder "
+        "(docs/artifacts.md)",
         digest="path_digest",
     )
     path_digest: str = ""

@@ -11,7 +11,7 @@ from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import applied, scale_of
 from stages.configs.export import WITH_PHOTOS
 from stages.configs.render import OWN_VIEWS
-from stages.exporting import camera_lists, chan_file, colmap_files
+from stages.exporting import camera_lists, chan_file, colmap_files, usd_stage
 from stages.exporting.job import ExportedFile, ExportJob
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
@@ -96,8 +96,6 @@ def _colmap_text(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) 
 
 
 def _usd(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> ExportedFile:
-    from stages.exporting import usd_stage
-
     to = job.placed("cameras.usda", "y", camera_axes="OpenGL", fps=job.config.fps)
     bounds, scale = job.scene.bounds, scale_of(to.file_from_scene)
     stage = usd_stage.new_stage(job.folder / to.path, job.config)

@@ -5,8 +5,8 @@ from typing import Any
 
 from schemas.errors import UsageError
 
-PACKAGES = {"pxr": "usd-core", "pygltflib": "pygltflib", "fast_simplification": "fast-simplification"}
-OF_FORMATS = {"usd": "pxr", "usda": "pxr", "usdc": "pxr", "glb": "pygltflib"}
+PACKAGES = {"pxr": "usd-core", "pygltflib": "pygltflib", "fast_simplification": "fast-simplification", "gsply": "gsply"}
+OF_FORMATS = {"usd": "pxr", "usda": "pxr", "usdc": "pxr", "glb": "pygltflib", "spz": "gsply"}
 
 
 def check_formats(formats: tuple[str, ...]) -> None:

@@ -119,7 +119,7 @@ def add_mesh(stage: Any, points: np.ndarray, faces: np.ndarray, normals: np.ndar
     mesh.CreateNormalsAttr(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals, np.float32)))
     mesh.SetNormalsInterpolation(geometry.Tokens.vertex)
     mesh.CreateSubdivisionSchemeAttr(geometry.Tokens.none)  # else viewers would smooth it as a subdivision surface
-    mesh.CreateExtentAttr(vt.Vec3fArray.FromNumpy(np.float32([points.min(0), points.max(0)])))
+    mesh.CreateExtentAttr(vt.Vec3fArray.FromNumpy(np.array([points.min(0), points.max(0)], np.float32)))
     color = mesh.CreateDisplayColorPrimvar(geometry.Tokens.vertex)
     color.Set(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors, np.float32)))
 

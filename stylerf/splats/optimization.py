@@ -11,7 +11,7 @@ from stylerf.kernels.cpu.splats import Gaussians
 from stylerf.splats.rasterizer import splat, splat_backward
 from stylerf.training.common.adam import Adam
 
-CENTER_RATE, SCALE_RATE, TURN_RATE, OPACITY_RATE, COLOR_RATE = 0.05, 0.02, 0.01, 0.05, 0.02
+CENTER_RATE, SCALE_RATE, TURN_RATE, OPACITY_RATE, COLOR_RATE = 0.1, 0.05, 0.01, 0.1, 0.04
 LAST_RATE = 0.1  # of the first; rates fall exponentially
 SHARED_BANDS = 0.2  # rate of the bands above the constant one, of its rate
 EDGE = 0.05  # of the color range: errors below count by their square, above by their size (Charbonnier)

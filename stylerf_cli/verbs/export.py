@@ -1,4 +1,4 @@
-"""`stylerf export WORK`: meshes, cameras and shots for other programs."""
+"""`stylerf export WORK`: meshes, splats, cameras and shots for other programs."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the export."""
     exported = session.pipeline.export(session.config, of=args.of, name=session.name, force=session.force)
     figures = exported.manifest.figures
-    counts = [f"{figures[key]:,} {key}" for key in ("vertices", "faces", "cameras", "photos") if figures.get(key)]
+    counts = [f"{figures[key]:,} {key}" for key in ("vertices", "faces", "splats", "cameras", "photos") if figures.get(key)]
     words = [f"{exported.manifest.config['kind']}: {', '.join(counts)}"]
     words += [f"  {exported.path / file}" for file in figures["files"]]
     return session.emit(made("export", exported), words)

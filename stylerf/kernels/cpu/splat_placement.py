@@ -15,7 +15,7 @@ def draw_samples(samples, draws, reach, threads, chosen, opacities):
     Args:
         samples: of marched rays.
         draws: [rays], uniform in 0..1.
-        reach: [rays], half the thickness of a surface, as a part of its distance.
+        reach: half the thickness of a surface, as a part of its distance.
         chosen: [rays] int64, written: the sample, -1 for none.
         opacities: [rays], written: the part of the light at the front of the surface that it absorbs.
     """
@@ -35,8 +35,8 @@ def draw_samples(samples, draws, reach, threads, chosen, opacities):
                 continue
             before, inside = _ZERO, _ZERO
             for j in range(starts[r], ends[r]):
-                if t[j] < t[k] * (_ONE - reach[r]):
+                if t[j] < t[k] * (_ONE - reach):
                     before += weights[j]
-                elif t[j] <= t[k] * (_ONE + reach[r]):
+                elif t[j] <= t[k] * (_ONE + reach):
                     inside += weights[j]
             opacities[r] = min(inside / max(_ONE - before, np.float32(1e-6)), _ONE)

@@ -31,6 +31,7 @@ from stylerf.kernels.cpu.simd_splats import (
     row_total,
 )
 
+
 class Gaussians(NamedTuple):
     """3D Gaussians, all float32.
 

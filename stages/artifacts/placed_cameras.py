@@ -1,0 +1,51 @@
+"""Cameras of files, from the coordinates of the file to scene units."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from schemas.errors import BadInput
+from stages.artifacts.scene import SceneData
+from stages.artifacts.world_axes import file_from_scene
+from stylerf.errors import InvalidValue
+from stylerf.geometry.camera_conventions import checked_pose
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.scene_normalization import moved
+
+MOST_CAMERAS = 100_000  # more than an hour of film
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFile:
+    """Cameras in scene units, in the order of the frames, and what to say of how they were read, a line each."""
+
+    cameras: list[Camera]
+    remarks: tuple[str, ...] = ()
+
+
+def in_scene(pose: np.ndarray, scene: SceneData, where: str, up: str = "") -> np.ndarray:
+    """Return a pose of the scene's source in scene units.
+
+    Args:
+        pose: [4, 4], OpenCV axes.
+        where: begins messages.
+        up: y or z where the file's coordinates are the source's turned so that this axis is up.
+
+    Raises:
+        BadInput: it is no pose.
+    """
+    return moved(checked(pose, where), np.linalg.inv(file_from_scene(scene, "source", up)))
+
+
+def checked(pose: np.ndarray, where: str) -> np.ndarray:
+    """Return a pose with an exact rotation; BadInput if it has none."""
+    try:
+        return checked_pose(pose)
+    except InvalidValue as error:
+        raise BadInput(f"{where}: {error}") from error
+
+
+def check_count(count: int, where: str) -> None:
+    """Refuse more cameras than a file can sensibly hold."""
+    if count > MOST_CAMERAS:
+        raise BadInput(f"{where} lists {count:,} cameras; at most {MOST_CAMERAS:,} can be read")

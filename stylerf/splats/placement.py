@@ -1,0 +1,95 @@
+"""Placement of 3D Gaussians on surface points: thinned by cells of the field's space, finer where pictures have detail.
+
+The field's space is the measure: its cells are as large as a pixel's footprint at every depth.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.geometry.spherical_harmonics import BANDS, C0
+from stylerf.kernels.cpu.splats import Gaussians
+from stylerf.splats.surface_points import SurfacePoints
+
+FINEST = 2048  # cells along a side, at most
+COARSE_SHARE = 0.6  # of the Gaussians, at most, are the cells that all have; the rest goes to detail
+NEIGHBORS = 8
+SPREAD, FLATNESS = 0.6, 0.3  # standard deviation along the surface, of the spacing; across it, of that
+FARTHEST_NEIGHBOR = 4.0  # spacing of a lone point, of its neighbors'
+OPACITIES = 0.1, 0.95
+
+
+def thinned(points: SurfacePoints, space: SpaceWarp, most: int) -> SurfacePoints:
+    """Merge the points of each cell; in detailed parts cells are half as long.
+
+    Args:
+        points: n >= 1 of them.
+        most: points to return, at most.
+    """
+    if not len(points.centers):
+        raise InvalidValue("the field shows nothing in its views: there is no surface to place splats on")
+    cube = space.warp(points.centers)
+    side = float(FINEST)
+    while True:
+        cells = np.maximum(space.cells_per_axis(max(int(side), 8)) // 2, 1)
+        coarse, members = np.unique(_cell_numbers(cube, cells), return_inverse=True)
+        if len(coarse) <= max(COARSE_SHARE * most, 1) or side < 8:
+            break
+        side *= max(0.9 * np.sqrt(COARSE_SHARE * most / len(coarse)), 0.5) if len(coarse) > 2 * most else 0.9
+    fine, at, fine_members = np.unique(_cell_numbers(cube, 2 * cells), return_index=True, return_inverse=True)
+    detail = np.bincount(members, points.detail) / np.bincount(members)
+    order = np.argsort(-detail, kind="stable")
+    # How many points there are if the k most detailed cells are split.
+    totals = len(coarse) + np.cumsum(np.bincount(members[at])[order] - 1)
+    split = np.zeros(len(coarse), bool)
+    split[order[: np.searchsorted(totals, most, side="right")]] = True
+    _, groups = np.unique(np.where(split[members], fine_members, len(fine) + members), return_inverse=True)
+    return SurfacePoints(
+        _means(points.centers, groups), _means(points.colors, groups), _means(points.opacities, groups),
+        _means(points.detail, groups),
+    )  # fmt: skip
+
+
+def on_surfaces(points: SurfacePoints, degree: int, threads: int) -> Gaussians:
+    """Return a flat Gaussian at each point, facing along the normal of its neighbors, as wide as their spacing.
+
+    Args:
+        points: at least one.
+        degree: of the spherical harmonics; those above the constant one are 0.
+    """
+    centers = points.centers.astype(np.float64)
+    count = min(NEIGHBORS + 1, len(centers))
+    distances, neighbors = cKDTree(centers).query(centers, k=count, workers=threads)
+    distances, neighbors = distances.reshape(len(centers), count), neighbors.reshape(len(centers), count)
+    spacing = np.sqrt(np.mean(distances[:, 1:5] ** 2, axis=1)) if count > 1 else np.full(len(centers), 1e-2)
+    spacing = np.minimum(spacing, FARTHEST_NEIGHBOR * np.median(spacing[neighbors], axis=1))
+    spread = SPREAD * np.maximum(spacing, 1e-6 * max(float(np.ptp(centers)), 1e-6))
+    around = centers[neighbors] - centers[neighbors].mean(1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    axes = axes[:, :, ::-1].copy()  # the normal, along which neighbors vary least, comes last
+    axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
+    opacities = np.clip(points.opacities, *OPACITIES)
+    harmonics = np.zeros((len(centers), BANDS[degree], 3), np.float32)
+    harmonics[:, 0] = (points.colors - 0.5) / C0
+    return Gaussians(
+        points.centers,
+        np.log(np.stack([spread, spread, FLATNESS * spread], -1)).astype(np.float32),
+        Rotation.from_matrix(axes).as_quat(scalar_first=True).astype(np.float32),
+        np.log(opacities / (1 - opacities)).astype(np.float32),
+        harmonics,
+    )
+
+
+def _cell_numbers(cube: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    x = np.minimum((cube * cells).astype(np.int64), cells - 1)
+    return (x[:, 0] * cells[1] + x[:, 1]) * cells[2] + x[:, 2]
+
+
+def _means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Means of values [n] or [n, c] by group."""
+    counts = np.bincount(groups)
+    columns = values.reshape(len(values), -1).T
+    means = np.stack([np.bincount(groups, column) / counts for column in columns], -1).astype(np.float32)
+    return means.reshape(len(counts), *values.shape[1:])
