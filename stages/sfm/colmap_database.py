@@ -68,9 +68,9 @@ def pairs(count: int, matching: str, clips: Sequence[int] = ()) -> list[tuple[in
     gaps = sorted({*range(1, OVERLAP + 1), *(2**k for k in range(count.bit_length()))})
     near = [(i, i + gap) for gap in gaps for i in range(count - gap) if of[i] == of[i + gap]]
     keys = range(0, count, KEY_FRAME_EVERY)
-    joining = range(0, count, KEY_FRAME_EVERY // 2)
+    between = range(0, count, KEY_FRAME_EVERY // 2)
     far = {(i, j) for i in keys for j in keys if i < j and of[i] == of[j]}
-    far |= {(i, j) for i in joining for j in joining if i < j and of[i] != of[j]}
+    far |= {(i, j) for i in between for j in between if i < j and of[i] != of[j]}
     return near + sorted(far - set(near))
 
 
