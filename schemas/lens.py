@@ -5,8 +5,9 @@ from typing import Any
 
 from schemas.json_numbers import FOCAL_LENGTHS, number, numbers, whole
 
-KINDS = ("brown", "fisheye")
-MOST_COEFFICIENTS = 8
+OTHER_KINDS = ("fov", "division", "eucm", "thin_prism_fisheye", "rad_tan_thin_prism_fisheye")
+KINDS = ("brown", "fisheye", *OTHER_KINDS)
+MOST_COEFFICIENTS = 12
 LARGEST_COEFFICIENT = 1e6
 LARGEST_PHOTO_SIDE = 1 << 20  # pixels; photos may be larger than the pictures that are made of them
 
@@ -16,15 +17,17 @@ class LensDistortion:
     """Distortion of normalized image coordinates; geometry/distortion.py has the formulas.
 
     Attributes:
-        kind: brown (OpenCV's) or fisheye (Kannala-Brandt).
+        kind: brown (OpenCV's), fisheye (Kannala-Brandt), or one of OTHER_KINDS.
         radial, denominator: Coefficients of the polynomials of r^2 (brown) or theta^2 (fisheye, radial only).
         tangential: p1, p2.
+        others: Parameters of OTHER_KINDS, in COLMAP's order.
     """
 
     kind: str = "brown"
     radial: tuple[float, ...] = ()
     tangential: tuple[float, ...] = (0.0, 0.0)
     denominator: tuple[float, ...] = ()
+    others: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ def distortion_of(entry: Any, where: str) -> LensDistortion:
     lists = {key: _coefficients(entry[key], f"{where}: {key}") for key in ("radial", "tangential", "denominator")}
     if len(lists["tangential"]) != 2:
         raise ValueError(f"{where}: tangential has {len(lists['tangential'])} numbers, expected 2")
-    return LensDistortion(entry["kind"], **lists)
+    return LensDistortion(entry["kind"], **lists, others=_coefficients(entry.get("others", ()), f"{where}: others"))
 
 
 def _coefficients(values: Any, what: str) -> tuple[float, ...]:

@@ -1,6 +1,7 @@
 """Import: turns photos, with poses in any known format or without, into a scene of undistorted pictures."""
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,13 +17,14 @@ from schemas.safe_reading import allowance
 from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, PartialArtifact
-from stages.configs.pose_import import ImportConfig
-from stages.readers import found_in, read_source
+from stages.configs.pose_import import FRAMES, ImportConfig
+from stages.readers import found_in, read_source, splats
 from stages.readers.background import Background, Evidence, evidence_of
 from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
 from stages.readers.transforms import lists_of
+from stages.readers.video import VIDEOS, clips_of, frames_as_photos
 from stages.run.parallel import in_order
 from stages.run.progress import Context
 from stages.run.runner import Spec
@@ -34,19 +36,24 @@ from stylerf.geometry.resampling import nearest
 from stylerf.geometry.silhouette_bounds import hull_box
 
 
-def digest_of_source(source: Path, format: str = "auto", images: str = "") -> str:
+def digest_of_source(source: Path, format: str = "auto", images: str = "", cameras: str = "") -> str:
     """SHA-256 of the files with poses and of every photo, its mask and its known depth, each by its name in the source.
     Other files do not count. BadInput if the source cannot be read.
     """
     kind = found_in(source, format).kind
+    if kind == "splats":
+        files = splats.files_of(source, cameras)
+        return digest_of([kind, _content(files.splats), _named(splats.pose_files(files))])
+    if kind == "video":
+        return digest_of([kind, _named(video_of(source))])
     if kind == "photos":
         photos = photos_of(source, images)
         plain = [SourceCamera(one.stem, path_in_source(one, source), one, np.eye(4)) for one in photos]
-        cameras = with_masks(plain, source)
+        with_theirs = with_masks(plain, source)
         others = [one.name for one in unreadable_beside(photos)]
-        return digest_of([kind, others, [_entry(one) for one in cameras]])
+        return digest_of([kind, others, [_entry(one) for one in with_theirs]])
     scene = read_source(source, format, images)
-    poses = [[path.name, _content(path)] for path in scene.files or _files_of_poses(source, kind)]
+    poses = _named(scene.files or _files_of_poses(source, kind))
     return digest_of([kind, poses, [_entry(one) for one in scene.cameras]])
 
 
@@ -54,6 +61,10 @@ def _files_of_poses(source: Path, kind: str) -> list[Path]:
     if kind == "transforms":
         return [path for path, _ in lists_of(source)]
     return [source if source.is_file() else source / "poses_bounds.npy"]
+
+
+def _named(files: Iterable[Path]) -> list[list[str]]:
+    return [[path.name, _content(path)] for path in files]
 
 
 def _entry(camera: SourceCamera) -> list:
@@ -70,7 +81,9 @@ def _content(path: Path) -> str:
 
 SPEC = Spec(
     stage="pose_import", verb="import", revision=7, writes="scene",
-    outside=lambda config: {"source_digest": digest_of_source(Path(config.source), config.format, config.images)},
+    outside=lambda config: {
+        "source_digest": digest_of_source(Path(config.source), config.format, config.images, config.cameras)
+    },
 )  # fmt: skip
 FEWEST_PHOTOS = 2
 DEVELOPING_BYTES = 64  # per pixel: four channels of 4 bytes, and at most three copies of them
@@ -94,7 +107,15 @@ def run(inputs: dict[str, Artifact], config: ImportConfig, partial: PartialArtif
 def _source(config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
     source = Path(config.source)
     found = found_in(source, config.format)
+    _check_options(found.kind, config)
+    if found.kind == "splats":
+        files = splats.files_of(source, config.cameras)
+        return splats.rendered(files, partial.checkpoint / "renders", context)
+    if found.kind == "video":
+        return _of_video(video_of(source), config, partial, context)
     if found.kind == "photos":
+        for remark in found.remarks:
+            context.progress.say(remark)
         photos = photos_of(source, config.images)
         if others := unreadable_beside(photos):
             kinds = sorted({one.suffix for one in others})
@@ -112,6 +133,32 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
     for remark in scene.remarks:
         context.progress.say(remark)
     return scene
+
+
+def video_of(source: Path) -> list[Path]:
+    """List the clips at `source`; BadInput if there are none."""
+    if clips := clips_of(source):
+        return clips
+    raise BadInput(f"{source} holds no video ({', '.join(VIDEOS)}); give a clip or a folder of clips")
+
+
+def _check_options(kind: str, config: ImportConfig) -> None:
+    if kind in ("video", "splats") and config.images:
+        raise BadInput(f"--images names a folder of photos; leave it out for {kind}")
+    if kind != "splats" and config.cameras:
+        raise BadInput(f"--cameras is for splats, and {config.source} holds {kind}; leave it out")
+    if kind != "video" and config.frames != FRAMES:
+        raise BadInput(f"--frames is for video, and {config.source} holds {kind}; leave it out")
+
+
+def _of_video(clips: list[Path], config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
+    chosen = frames_as_photos(clips, config.frames, partial.checkpoint / "frames", context)
+    scene = reconstructed(
+        [photo for photo, _ in chosen], partial.checkpoint / "frames", partial.checkpoint, context,
+        matching=config.matching, side=config.sfm_side, features=config.sfm_features, shared=config.one_camera,
+        clips=tuple(clip for _, clip in chosen),
+    )  # fmt: skip
+    return replace(scene, kind="video, by structure from motion")
 
 
 def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -350,7 +397,8 @@ def _view(index: int, one: Sized, camera: Camera) -> View:
 
 def _lens(one: Sized) -> Lens:
     lens = one.camera.distortion
-    return Lens(*one.size, *one.intrinsics, LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator))
+    stored = LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator, lens.others)
+    return Lens(*one.size, *one.intrinsics, stored)
 
 
 def _figures(source: SourceScene, scene: Scene, depths: int) -> dict:

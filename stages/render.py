@@ -200,7 +200,9 @@ def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
 def _frame_of(camera: Camera, view: int | None, config: RenderConfig, maps: StMaps | None = None) -> Frame:
     name, pose = camera.name, as_matrix(camera.world_from_camera)
     lens = camera.distortion if isinstance(camera, LensCamera) else None
-    distortion = LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator) if lens else None
+    distortion = (
+        LensDistortion(lens.kind, lens.radial, lens.tangential, lens.denominator, lens.others) if lens else None
+    )
     entry = FrameCamera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, pose, distortion)
     exr, png = f"exr/{name}.exr" if config.exr else "", f"png/{name}.png"
     undistort, redistort = (maps.undistort, maps.redistort) if maps else ("", "")

@@ -42,7 +42,7 @@ def plate_camera(scene: SceneData, index: int) -> LensCamera:
     stored = lens.distortion
     p1, p2 = stored.tangential
     try:
-        distortion = Distortion(stored.kind, stored.radial, (p1, p2), stored.denominator)
+        distortion = Distortion(stored.kind, stored.radial, (p1, p2), stored.denominator, stored.others)
         intrinsics = (lens.fx, lens.fy, lens.cx, lens.cy)
         return through_lens(scene.cameras[index], (lens.width, lens.height), intrinsics, distortion)
     except InvalidValue as error:

@@ -6,6 +6,7 @@ from stages.configs import advanced, option
 
 # Of poses that are read, in the order in which they are taken where several are there.
 FORMATS = ("transforms", "colmap", "llff", "metashape", "opensfm", "polycam", "record3d")
+FRAMES = 120
 
 
 @dataclass(frozen=True)
@@ -14,15 +15,24 @@ class ImportOptions:
 
     format: str = option(
         "auto",
-        choices=("auto", *FORMATS, "photos"),
+        choices=("auto", *FORMATS, "photos", "video", "splats"),
         help="format of the "
-        "poses (auto: by the files that are there; photos: none, find them by structure from motion)",
+        "poses (auto: by the files that are there; photos, video: none, find them by structure from motion; "
+        "splats: of 3D Gaussian splatting, seen from its cameras)",
     )
     images: str = option(
         "",
         metavar="FOLDER",
         help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller, "
         "in the same subfolders or none",
+        digest="source_digest",
+    )
+    frames: int = option(FRAMES, help="frames to choose from video, even in motion and sharp")
+    cameras: str = option(
+        "",
+        metavar="PATH",
+        help="cameras that see the splats, if not the cameras.json beside them: such a list, a COLMAP model or a "
+        "transforms.json",
         digest="source_digest",
     )
     downscale: float = option(1.0, help="divide the photos' sides by this")
@@ -56,6 +66,8 @@ class ImportOptions:
     )
 
     def __post_init__(self) -> None:
+        if self.frames < 3:
+            raise ValueError(f"--frames {self.frames}: structure from motion needs at least 3")
         if not self.downscale >= 1:
             raise ValueError(f"--downscale {self.downscale:g}: expected 1 or more")
         if self.max_side < 0 or self.test_every < 0:

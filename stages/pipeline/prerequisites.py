@@ -209,7 +209,9 @@ def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportCon
     from stages.pose_import import digest_of_source
 
     source = source.resolve()
-    digest = digest_of_source(source, options.format, options.images)
+    if options.cameras:
+        options = replace(options, cameras=str(Path(options.cameras).resolve()))
+    digest = digest_of_source(source, options.format, options.images, options.cameras)
     return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
 
 

@@ -14,7 +14,8 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, or photos. also: other formats found. remarks: lines for the user."""
+    """What a source holds. kind: one of FORMATS, photos, video or splats. also: other formats found. remarks: for the
+    user."""
 
     kind: str
     also: tuple[str, ...] = ()
@@ -22,7 +23,8 @@ class Found:
 
 
 def found_in(source: Path, format: str = "auto") -> Found:
-    """Pick the format to read: the requested one, or the most complete of those found; photos if there are no poses.
+    """Pick the format to read: the requested one, or the most complete of those found; photos if there are no poses,
+    and splats or video if there are no photos either.
 
     Raises:
         BadInput: `source` does not exist, or its only poses are of an unsupported format.
@@ -41,13 +43,30 @@ def found_in(source: Path, format: str = "auto") -> Found:
             "poses from the photos with --format photos"
         )
     if not kinds:
-        return Found("photos")
+        return _without_poses(source)
     remarks = [f"poses of {one.tool} are not supported ({printable(one.path.name)})" for one in foreign]
     incomplete = [one for one in model_folders(source) if not whole_model(one)]
     if incomplete and kinds[0] != "colmap":
         remarks.append(f"the COLMAP model {incomplete[0]} lacks cameras or images and is not used")
     also = [kind for kind in kinds[1:] if not (kind == "colmap" and incomplete)]
     return Found(kinds[0], tuple(also), tuple(remarks))
+
+
+def _without_poses(source: Path) -> Found:
+    from stages.readers.photo_folder import folder_of
+    from stages.readers.source import images_in
+    from stages.readers.splats import splats_in
+    from stages.readers.video import clips_of
+
+    photos = source.is_dir() and images_in(folder_of(source))
+    clips = clips_of(source)
+    if not photos and splats_in(source):
+        return Found("splats")
+    if clips and not photos:
+        return Found("video")
+    names = ", ".join(printable(one.name) for one in clips[:3]) + (", ..." if len(clips) > 3 else "")
+    remark = f"video is not used beside photos ({names}); --format video takes it"
+    return Found("photos", remarks=(remark,) if clips else ())
 
 
 def detected(source: Path) -> list[str]:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 from schemas.errors import BadInput
 from stages.readers.source import image_folder, images_in, natural
+from stages.readers.video import clips_of
 
 FOLDERS = ("images", "input", "photos")
 UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
-VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 
 
 def photos_of(source: Path, images: str = "") -> list[Path]:
@@ -25,12 +25,11 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     if foreign:
         how = conversion(folder, foreign[0])
         raise BadInput(f"{folder} holds only files of unsupported formats ({', '.join(foreign)}); {how}")
-    videos = [name for name in names if Path(name).suffix.lower() in VIDEOS]
-    if videos:
-        raise _video_refusal(folder / videos[0])
+    if clips := clips_of(folder):
+        raise BadInput(f"{folder} holds no photos, but video ({clips[0].name}); import it without --format photos")
     raise BadInput(
-        f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no transforms.json, no COLMAP model (sparse/0) and no "
-        "poses_bounds.npy; give a folder that has one of these"
+        f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no video, no transforms.json, no COLMAP model "
+        "(sparse/0) and no poses_bounds.npy; give a folder that has one of these"
     )
 
 
@@ -57,11 +56,4 @@ def folder_of(source: Path, images: str = "") -> Path:
 
 
 def _no_folder(source: Path) -> BadInput:
-    if source.suffix.lower() in VIDEOS:
-        return _video_refusal(source)
     return BadInput(f"{source} is a file; give the folder of the photos")
-
-
-def _video_refusal(video: Path) -> BadInput:
-    command = f"mkdir -p frames && ffmpeg -i {shlex.quote(str(video))} -vf fps=3 frames/%04d.jpg"
-    return BadInput(f"{video} is a video; extract frames first: {command}")

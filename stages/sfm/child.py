@@ -63,7 +63,7 @@ def run(job: Job, progress: JobProgress) -> None:
     pairs = colmap_database.matched_pairs(path)
     found = quality.quality(models, len(used), pairs, colmap_database.keypoints(path), refined)
     if models:
-        must = quality.expected(models[0], pairs, colmap_database.compared_pairs(used, job.matching))
+        must = quality.expected(models[0], pairs, colmap_database.compared_pairs(job, used))
         found = replace(found, silent_share=must.silent_share, pairs_expected=must.count, refuted_share=share)
     refusal, warnings = quality.verdict(found)
     if refusal:

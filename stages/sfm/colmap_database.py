@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -27,12 +27,14 @@ OVERLAP, KEY_FRAME_EVERY = 10, 8
 _NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
 
-def chosen_matching(wanted: str, names: list[str]) -> tuple[str, str]:
-    """Return exhaustive or sequential, and the reason as text. names: file names in order."""
+def chosen_matching(wanted: str, names: list[str], video: bool = False) -> tuple[str, str]:
+    """Return exhaustive or sequential, and the reason as text. names: file names in order; video: they are frames."""
     if wanted != "auto":
         return wanted, "as requested"
     if len(names) <= MOST_FOR_ALL_PAIRS:
         return "exhaustive", f"{len(names)} photos are few enough to compare all pairs"
+    if video:
+        return "sequential", "frames of video follow each other"
     if _are_frames(names):
         return "sequential", f"the names of the {len(names)} photos count frames"
     return "exhaustive", f"the names of the {len(names)} photos do not count frames, so any two may overlap"
@@ -53,18 +55,23 @@ def _are_frames(names: list[str]) -> bool:
     )
 
 
-def pairs(count: int, matching: str) -> list[tuple[int, int]]:
+def pairs(count: int, matching: str, clips: Sequence[int] = ()) -> list[tuple[int, int]]:
     """Index pairs (i < j), near ones first.
 
     exhaustive: all. sequential: frames up to OVERLAP apart, those 2^k apart, and all pairs of key frames, which close
-    the loop where a walk comes back.
+    the loop where a walk comes back. clips: the number of each frame's clip; frames of two clips are no neighbors, and
+    twice as many of them are key frames, since nothing else joins their clips.
     """
     if matching == "exhaustive":
         return [(i, i + gap) for gap in range(1, count) for i in range(count - gap)]
+    of = list(clips) or [0] * count
     gaps = sorted({*range(1, OVERLAP + 1), *(2**k for k in range(count.bit_length()))})
-    near = [(i, i + gap) for gap in gaps for i in range(count - gap)]
+    near = [(i, i + gap) for gap in gaps for i in range(count - gap) if of[i] == of[i + gap]]
     keys = range(0, count, KEY_FRAME_EVERY)
-    return near + sorted({(i, j) for i in keys for j in keys if i < j} - set(near))
+    between = range(0, count, KEY_FRAME_EVERY // 2)
+    far = {(i, j) for i in keys for j in keys if i < j and of[i] == of[j]}
+    far |= {(i, j) for i in between for j in between if i < j and of[i] != of[j]}
+    return near + sorted(far - set(near))
 
 
 # What is computed row by row, so that a lost row is simply found again.
@@ -152,7 +159,7 @@ def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
     for leftover in (done, folder / ROWS, *folder.glob(f"{DATABASE}*")):  # with its journal
         leftover.unlink(missing_ok=True)
     pycolmap.Database.open(path).close()
-    for group in _by_lens(copies, job.shared):
+    for group in _by_lens(job, copies):
         options = pycolmap.ImageReaderOptions()
         options.camera_model = CAMERA_MODEL
         first = group[0]
@@ -173,12 +180,13 @@ def _rows(path: Path) -> Rows:
     return Rows(path, path.with_name(ROWS))
 
 
-def _by_lens(copies: list[Copy], shared: bool) -> list[list[Copy]]:
-    if not shared:
+def _by_lens(job: Job, copies: list[Copy]) -> list[list[Copy]]:
+    """Group the copies that share a camera; clips of video tell nothing of their zoom, so each has its own."""
+    if not job.shared:
         return [[copy] for copy in copies]
-    groups: dict[str, list[Copy]] = {}
+    groups: dict[tuple[str, int], list[Copy]] = {}
     for copy in copies:
-        groups.setdefault(copy.lens, []).append(copy)
+        groups.setdefault((copy.lens, _clip_of(job, copy)), []).append(copy)
     return list(groups.values())
 
 
@@ -230,18 +238,45 @@ def match(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> No
     pairing = pycolmap.ImportedPairingOptions()
     listing, rows = Path(job.folder) / "pairs.txt", _rows(path)
     pairing.match_list_path = str(listing)
-    wanted = [(copies[i].file, copies[j].file) for i, j in pairs(len(copies), job.matching)]
+    wanted = [(copies[i].file, copies[j].file) for i, j in _pairs_of(job, copies)]
     missing = _not_compared(path, wanted)
     finished = len(wanted) - len(missing)
     progress.step("matching", len(wanted), "pair")
     progress.done(finished)
     for start in range(0, len(missing), PAIRS_AT_ONCE):
         part = missing[start : start + PAIRS_AT_ONCE]
-        write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
-        pycolmap.match_image_pairs(path, matching, pairing, verification)
+        _match(part, path, listing, matching, pairing, verification)
+        # On several threads and a busy machine COLMAP 4.2 rarely finds nothing in a pair that has a hundred matches.
+        if matching.num_threads > 1 and (empty := _without_matches(path, part)):
+            _forget(path, empty)
+            _match(empty, path, listing, matching, pairing, verification)
         rows.record()
         finished += len(part)
         progress.done(finished)
+
+
+def _match(part: list[tuple[str, str]], path: Path, listing: Path, matching, pairing, verification) -> None:
+    write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
+    pycolmap.match_image_pairs(path, matching, pairing, verification)
+
+
+def _without_matches(path: Path, part: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        return [
+            (first, second)
+            for first, second in part
+            if not len(database.read_matches(numbers[first], numbers[second]))
+        ]
+
+
+def _forget(path: Path, part: list[tuple[str, str]]) -> None:
+    """Delete what was found of the pairs, which is not recorded yet: if this is cut short, resuming finds it again."""
+    with pycolmap.Database.open(path) as database:
+        numbers = {image.name: image.image_id for image in database.read_all_images()}
+        for first, second in part:
+            database.delete_matches(numbers[first], numbers[second])
+            database.delete_two_view_geometry(numbers[first], numbers[second])
 
 
 def _not_compared(path: Path, wanted: list[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -268,9 +303,19 @@ def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]
         return found
 
 
-def compared_pairs(copies: list[Copy], matching: str) -> set[tuple[str, str]]:
+def compared_pairs(job: Job, copies: list[Copy]) -> set[tuple[str, str]]:
     """Names of the copies of every pair that was searched for matches."""
-    return {(copies[i].file, copies[j].file) for i, j in pairs(len(copies), matching)}
+    return {(copies[i].file, copies[j].file) for i, j in _pairs_of(job, copies)}
+
+
+def _pairs_of(job: Job, copies: list[Copy]) -> list[tuple[int, int]]:
+    """Pairs of the copies that are used, which may be fewer than the job's photos."""
+    return pairs(len(copies), job.matching, [_clip_of(job, copy) for copy in copies])
+
+
+def _clip_of(job: Job, copy: Copy) -> int:
+    # By its number: the photo may have been moved since an interrupted run made the copy.
+    return job.clips[int(Path(copy.file).stem)] if job.clips else 0
 
 
 def keypoints(path: Path) -> dict[str, np.ndarray]:

@@ -27,6 +27,7 @@ class Job:
         shared: Photos of one size and zoom share a camera; otherwise each has its own.
         seed: Seed of every RANSAC.
         threads: For features and matches; the mapper uses one, to be reproducible.
+        clips: For frames of video the number of each one's clip; () for photos.
     """
 
     folder: str
@@ -38,6 +39,7 @@ class Job:
     shared: bool = True
     seed: int = 0
     threads: int = 2
+    clips: tuple[int, ...] = ()
 
     def write(self, path: Path) -> None:
         """Write the job to `path` as JSON, atomically."""
@@ -47,7 +49,8 @@ class Job:
     def read(path: Path) -> "Job":
         """Read what `write` wrote."""
         content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
-        return Job(**{**content, "photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))})
+        lists = {"photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))}
+        return Job(**{**content, **lists, "clips": tuple(content["clips"])})
 
 
 def journal_of(folder: Path) -> Journal:

@@ -37,7 +37,7 @@ PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
 
 def reconstructed(
     photos: list[Path], root: Path, checkpoint: Path, context: Context, *, matching: str, side: int, features: int,
-    shared: bool,
+    shared: bool, clips: tuple[int, ...] = (),
 ) -> SourceScene:  # fmt: skip
     """Find the poses of the photos of a folder.
 
@@ -48,19 +48,21 @@ def reconstructed(
         context: Progress, seed and threads.
         matching: auto, exhaustive or sequential.
         side: See Job, as for features and shared.
+        clips: For frames of video the number of each one's clip, in the order of `photos`.
 
     Raises:
         BadInput: Photos are damaged or too few, or the result is implausible.
         KeyboardInterrupt: Within a second of Ctrl-C.
     """
-    photos = sorted(photos, key=lambda photo: natural(str(photo)))
-    method, reason = chosen_matching(matching, [photo.name for photo in photos])
-    context.progress.say(f"no poses found: structure from motion of {len(photos)} photos, {method} matching ({reason})")
+    photos = photos if clips else sorted(photos, key=lambda photo: natural(str(photo)))
+    method, reason = chosen_matching(matching, [photo.name for photo in photos], bool(clips))
+    what = "frames" if clips else "photos"
+    context.progress.say(f"no poses found: structure from motion of {len(photos)} {what}, {method} matching ({reason})")
     folder = checkpoint / "sfm"
     folder.mkdir(parents=True, exist_ok=True)
     paths = tuple(str(photo) for photo in photos)
     masks = _masks(photos, root, context)
-    job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads)
+    job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads, clips)
     job.write(folder / "job.json")
     result = finished(folder)
     if result is None:

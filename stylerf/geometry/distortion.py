@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.geometry.lens_models import LENSES, tangent_of
 
-KINDS = ("brown", "fisheye")
+KINDS = ("brown", "fisheye", *LENSES)
 # A pinhole image cannot span 180 degrees: a fisheye is cropped at this slope, 63 degrees off the axis.
 WIDEST_SLOPE = 2.0
 
@@ -24,17 +25,20 @@ class Distortion:
     swapped, N = 1 + sum radial[i] r^(2i+2), D = 1 + sum denominator[i] r^(2i+2).
 
     fisheye (Kannala-Brandt): x' = x theta'/r, theta = atan(r), theta' = theta (1 + sum radial[i] theta^(2i+2)).
+
+    Other kinds: lens_models.py, with their parameters in `others`.
     """
 
     kind: str = "brown"
     radial: tuple[float, ...] = ()
     tangential: tuple[float, float] = (0.0, 0.0)
     denominator: tuple[float, ...] = ()
+    others: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InvalidValue(f"unknown distortion {self.kind!r}")
-        if not np.isfinite([*self.radial, *self.tangential, *self.denominator]).all():
+        if not np.isfinite([*self.radial, *self.tangential, *self.denominator, *self.others]).all():
             raise InvalidValue("a distortion coefficient is NaN or infinite")
 
     @property
@@ -44,6 +48,8 @@ class Distortion:
 
     def distort(self, points: np.ndarray) -> np.ndarray:
         """Map undistorted points [..., 2] to distorted points [..., 2]."""
+        if self.kind in LENSES:
+            return LENSES[self.kind][0](points, self.others)
         x, y = points[..., 0], points[..., 1]
         squared = x * x + y * y
         if self.kind == "fisheye":
@@ -65,7 +71,7 @@ class Distortion:
     def undistort(self, points: np.ndarray) -> np.ndarray:
         """Map distorted points [..., 2] to undistorted points [..., 2] by Newton's method; NaN where that fails."""
         points = np.asarray(points, dtype=np.float64)
-        found = self._fisheye_start(points) if self.kind == "fisheye" else points.copy()
+        found = self._start(points)
         # Forward differences: their error slows convergence but does not move the solution, which the residual decides.
         step = 1e-6
         for _ in range(30):
@@ -86,10 +92,10 @@ class Distortion:
         lost = ~(np.abs(self.distort(found) - points).max(axis=-1) < 1e-7)  # negated, so that NaN is lost too
         return np.where(lost[..., None], np.nan, found)
 
-    def _fisheye_start(self, points: np.ndarray) -> np.ndarray:
-        r = np.linalg.norm(points, axis=-1, keepdims=True)
-        # r is nearly theta; bounded below pi/2, where the tangent is infinite.
-        return points * np.where(r > 1e-9, np.tan(np.minimum(r, 1.45)) / np.maximum(r, 1e-9), 1.0)
+    def _start(self, points: np.ndarray) -> np.ndarray:
+        if self.kind == "fisheye":
+            return tangent_of(points, ())
+        return LENSES[self.kind][1](points, self.others) if self.kind in LENSES else points.copy()
 
 
 def _series(coefficients: tuple[float, ...], squared: np.ndarray) -> np.ndarray:
@@ -108,15 +114,20 @@ def from_colmap(model: str, params: list[float]) -> tuple[Intrinsics, Distortion
     shared = {"SIMPLE_PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 2,
               "SIMPLE_FISHEYE": 0}  # fmt: skip
     separate = {"PINHOLE": 0, "OPENCV": 4, "FULL_OPENCV": 8, "OPENCV_FISHEYE": 4, "FISHEYE": 0}
-    count = shared.get(model, separate.get(model))
+    if model == "SIMPLE_DIVISION":
+        model, params = "DIVISION", [*params[:1], *params]
+    kind = model.lower()
+    count = LENSES[kind][2] if kind in LENSES else shared.get(model, separate.get(model))
     if count is None:
-        known = ", ".join([*shared, *separate])
+        known = ", ".join([*shared, *separate, *map(str.upper, LENSES), "SIMPLE_DIVISION"])
         raise InvalidValue(f"its camera model {model} is not known; undistort the images first, or use one of {known}")
     lead = 3 if model in shared else 4
     if len(params) != lead + count:
         raise InvalidValue(f"camera model {model} takes {lead + count} parameters, found {len(params)}")
     fx, fy, cx, cy = [params[0], *params[:3]] if model in shared else params[:4]
     rest = tuple(float(value) for value in params[lead:])
+    if kind in LENSES:
+        return (fx, fy, cx, cy), Distortion(kind, others=rest)
     if model.endswith("FISHEYE"):
         return (fx, fy, cx, cy), Distortion("fisheye", rest)
     if model in separate and count:
@@ -147,7 +158,7 @@ def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distor
             edge[:, axis] = far_side * extent[0]
             edge[:, 1 - axis] = along * extent[1]
             ideal = distortion.undistort((edge - [cx, cy]) / [fx, fy])[:, axis]
-            if distortion.kind == "fisheye":
+            if distortion.kind != "brown":
                 ideal = np.nan_to_num(ideal, nan=np.inf if far_side else -np.inf)  # too far off the axis: cropped below
             if np.isnan(ideal).any():
                 raise InvalidValue(

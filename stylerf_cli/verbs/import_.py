@@ -1,4 +1,4 @@
-"""`stylerf import SOURCE WORK`: photos, with poses or without, into a scene."""
+"""`stylerf import SOURCE WORK`: photos, with poses or without, video or splats into a scene."""
 
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ def add_arguments(parser: Parser) -> None:
         type=Path,
         metavar="SOURCE",
         help="folder of photos, alone or with poses of COLMAP, transforms.json, LLFF, Metashape, OpenSfM, Polycam, "
-        "Record3D",
+        "Record3D; a clip of video or a folder of clips; splats (.ply, or 3DGS's output folder)",
     )
     parser.add_argument("work", type=Path, metavar="WORK", help="work folder of one scene, created if missing")
 

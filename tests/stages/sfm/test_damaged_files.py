@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,26 @@ def test_a_damaged_database_is_made_again(job, damage):
     tell, path = matched(job)
     assert rows(path) == whole
     assert tell.lines == ["warning: the features and matches of the interrupted run are damaged; recomputing them"]
+
+
+def test_a_pair_that_lost_its_matches_on_two_threads_is_matched_again(job, tmp_path, monkeypatch):
+    _, path = matched(job)
+    whole = rows(path)
+    for leftover in tmp_path.iterdir():
+        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
+    calls = []
+
+    def losing(path, *options, found=pycolmap.match_image_pairs):
+        calls.append((tmp_path / "pairs.txt").read_text().splitlines())
+        found(path, *options)
+        if len(calls) == 1:
+            for table in ("matches", "two_view_geometries"):
+                last = f"pair_id = (SELECT max(pair_id) FROM {table})"
+                changed(path, f"UPDATE {table} SET rows = 0, data = x'' WHERE {last}")
+
+    monkeypatch.setattr(pycolmap, "match_image_pairs", losing)
+    _, path = matched(replace(job, threads=2))
+    assert calls[1:] == [["00002.jpg 00003.jpg"]] and rows(path) == whole
 
 
 def test_an_intact_database_is_kept_and_partial_rows_are_recomputed(job, tmp_path):

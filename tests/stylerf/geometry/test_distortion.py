@@ -22,6 +22,14 @@ MODELS = {
     "RADIAL_FISHEYE": [60.0, 61, 45, 0.04, -0.01],
     "SIMPLE_FISHEYE": [60.0, 61, 45],
     "FISHEYE": [60.0, 64, 61, 45],
+    "FOV": [90.0, 95, 61, 45, 0.9],
+    "THIN_PRISM_FISHEYE": [60.0, 62, 61, 45, 0.05, -0.02, 0.01, -0.008, 0.01, -0.003, 0.02, -0.01],
+    "RAD_TAN_THIN_PRISM_FISHEYE": [
+        60.0, 62, 61, 45, 0.05, -0.02, 0.01, -0.003, 0.002, -0.001, 0.01, -0.008, 0.02, 0.01, -0.015, 0.004,
+    ],
+    "SIMPLE_DIVISION": [90.0, 61, 45, -0.2],
+    "DIVISION": [90.0, 95, 61, 45, 0.25],
+    "EUCM": [60.0, 62, 61, 45, 0.6, 1.2],
 }
 SIZE = (120, 90)
 PLANE = np.random.default_rng(0).uniform(-0.6, 0.6, size=(200, 2))
@@ -39,6 +47,20 @@ def test_every_model_falls_where_colmap_puts_it(model):
 def test_undistort_inverts_distort(model):
     _, warp = distortion.from_colmap(model, MODELS[model])
     np.testing.assert_allclose(warp.undistort(warp.distort(PLANE)), PLANE, atol=1e-9)
+
+
+# Of formulas that divide by the radius or the parameter: the values in the limit.
+@pytest.mark.parametrize("model", [name for name in MODELS if name not in ("SIMPLE_PINHOLE", "PINHOLE")])
+def test_the_axis_is_the_principal_point(model):
+    _, warp = distortion.from_colmap(model, MODELS[model])
+    assert (warp.distort(np.zeros((1, 2))) == 0).all() and np.abs(warp.undistort(np.zeros((1, 2)))).max() < 1e-12
+    assert np.abs(Distortion("fov", others=(0.0,)).distort(PLANE) - PLANE).max() == 0
+
+
+def test_rays_beyond_the_models_have_no_image():
+    assert np.isnan(Distortion("division", others=(0.5,)).distort(np.array([[0.9, 0.0]]))).all()  # 4 k r^2 > 1
+    assert np.isnan(Distortion("fov", others=(0.9,)).undistort(np.array([[1.8, 0.0]]))).all()
+    assert np.isnan(Distortion("eucm", others=(0.6, 1.2)).undistort(np.array([[2.0, 0.0]]))).all()
 
 
 def opencv(x, y, k1, k2, p1, p2, k3, k4, k5, k6):
@@ -77,8 +99,8 @@ def test_the_pinhole_shows_no_blank_and_wastes_little(model):
     assert positions.min() > -0.01 and positions[..., 0].max() < 120.01 and positions[..., 1].max() < 90.01
     # Pixels keep their shape, else strokes and films come out squeezed.
     assert pinhole[1] / pinhole[0] == pytest.approx(intrinsics[1] / intrinsics[0])
-    # Along one axis both sides touch the picture's border somewhere; fisheyes may be cut on purpose.
-    if "FISHEYE" not in model:
+    # Along one axis both sides touch the picture's border somewhere; of wide lenses the other axis is cut.
+    if "FISHEYE" not in model and model not in ("FOV", "EUCM"):
         across = positions[..., 0].min(), 120 - positions[..., 0].max()
         down = positions[..., 1].min(), 90 - positions[..., 1].max()
         assert min(max(across), max(down)) < 1.5 and max(*across, *down) < 3
@@ -90,8 +112,10 @@ def test_the_pinhole_shows_no_blank_and_wastes_little(model):
 
 
 def test_faults_are_reported():
-    with pytest.raises(InvalidValue, match="FOV is not known"):
-        distortion.from_colmap("FOV", [90.0, 90, 61, 45, 0.9])
+    with pytest.raises(InvalidValue, match="EQUIRECTANGULAR is not known"):
+        distortion.from_colmap("EQUIRECTANGULAR", [120.0, 90])
+    with pytest.raises(InvalidValue, match="DIVISION takes 5 parameters, found 4"):
+        distortion.from_colmap("DIVISION", [90.0, 90, 61, 45])
     with pytest.raises(InvalidValue, match="takes 4 parameters, found 3"):
         distortion.from_colmap("SIMPLE_RADIAL", [90.0, 61, 45])
     with pytest.raises(InvalidValue, match="NaN"):

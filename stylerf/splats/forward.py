@@ -1,0 +1,121 @@
+"""Pictures of splats with spherical harmonics up to degree 3, in bounded memory."""
+
+import numpy as np
+
+from stylerf.errors import InvalidValue
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.spherical_harmonics import C0, harmonics
+from stylerf.kernels.cpu.simd_splats import PIXELS, TILE
+from stylerf.kernels.cpu.splats import SCREEN, Gaussians, blend, count_pairs, fill_pairs, project, sort_by_depth
+from stylerf.splats.rasterizer import splat_camera
+
+CHUNK = 1 << 18  # splats whose colors are computed at once
+PAIR_BYTES = 16  # of a pair of a tile and a splat that reaches it: the lists of the rasterizer, and their building
+DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # by number of bands
+
+
+def picture(
+    gaussians: Gaussians, camera: Camera, *, near: float, threads: int, most_bytes: int = 1 << 30
+) -> np.ndarray:
+    """Draw splats as 3D Gaussian splatting does, without its background.
+
+    Where too many splats overlap for the memory, the picture is drawn in bands of rows, with the same result.
+
+    Args:
+        gaussians: n splats with 1, 4, 9 or 16 bands of harmonics.
+        camera: The camera, scene units.
+        near: Least depth of a splat's center, scene units.
+        threads: Threads; the result does not depend on them.
+        most_bytes: Memory of the lists of what reaches which tile.
+
+    Returns:
+        [height, width, 4] float32, rgb premultiplied by alpha and sRGB-encoded, alpha 0..1. Colors of splats are
+        bounded below by 0 and not above.
+
+    Raises:
+        InvalidValue: A single row of tiles needs more memory.
+    """
+    plain = gaussians._replace(harmonics=((colors(gaussians, camera) - 0.5) / C0)[:, None])
+    n = len(gaussians.centers)
+    screen, depths = np.empty((n, SCREEN), np.float32), np.empty(n, np.float32)
+    boxes = np.empty((n, 4), np.int32)
+    project(plain, splat_camera(camera, near), threads, screen, depths, boxes)
+    bands = _bands(boxes, camera.height, most_bytes // PAIR_BYTES)
+    parts = [_band(*_shifted(screen, boxes, top, end), depths, camera.width, end - top, threads) for top, end in bands]
+    return np.concatenate(parts, axis=0)
+
+
+def colors(gaussians: Gaussians, camera: Camera) -> np.ndarray:
+    """Return the colors [n, 3] float32 of splats seen from a camera: 1/2 + sum_b Y_b(d) harmonics_b."""
+    degree = DEGREES[gaussians.harmonics.shape[1]]
+    found = np.empty((len(gaussians.centers), 3), np.float32)
+    for start in range(0, len(found), CHUNK):
+        part = slice(start, start + CHUNK)
+        ways = gaussians.centers[part] - camera.center.astype(np.float32)
+        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
+        found[part] = 0.5 + np.einsum("nb,nbc->nc", _basis(ways, degree), gaussians.harmonics[part])
+    return found
+
+
+def _basis(ways: np.ndarray, degree: int) -> np.ndarray:
+    if degree < 3:
+        return harmonics(ways, degree)
+    x, y, z = ways.T
+    # Degree 3 in the signs of 3D Gaussian splatting, after Sloan 2013, appendix A2.
+    third = [
+        -0.5900435899266435 * y * (3 * x * x - y * y),
+        2.890611442640554 * x * y * z,
+        -0.4570457994644658 * y * (5 * z * z - 1),
+        0.3731763325901154 * z * (5 * z * z - 3),
+        -0.4570457994644658 * x * (5 * z * z - 1),
+        1.445305721320277 * z * (x * x - y * y),
+        -0.5900435899266435 * x * (x * x - 3 * y * y),
+    ]
+    return np.column_stack([harmonics(ways, 2), *third]).astype(np.float32)
+
+
+def _bands(boxes: np.ndarray, height: int, most: int) -> list[tuple[int, int]]:
+    """Cut the picture's rows so that no band has more than `most` pairs of tiles and splats."""
+    seen = boxes[boxes[:, 1] > boxes[:, 0]]
+    rows = -(-height // TILE)
+    across = (seen[:, 1] - seen[:, 0]).astype(np.float64)
+    # Of each row of tiles: every splat adds its width from its first row on, and takes it back after its last.
+    steps = np.bincount(seen[:, 2] // TILE, across, rows + 1)
+    steps -= np.bincount((seen[:, 3] - 1) // TILE + 1, across, rows + 1)
+    found, top, held = [], 0, 0.0
+    for row, pairs in enumerate(np.cumsum(steps)[:rows]):
+        if pairs > most:
+            raise InvalidValue(f"{pairs:.0f} splats reach a single row of tiles, more than memory holds")
+        if held + pairs > most:
+            found.append((top * TILE, row * TILE))
+            top, held = row, 0.0
+        held += pairs
+    return [*found, (top * TILE, height)]
+
+
+def _shifted(screen: np.ndarray, boxes: np.ndarray, top: int, end: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return what is on the screen from row `top` to `end`, counted from `top`."""
+    screen, boxes = screen.copy(), boxes.copy()
+    screen[:, 1] -= top
+    boxes[:, 2:] = (boxes[:, 2:] - top).clip(0, end - top)
+    boxes[boxes[:, 3] <= boxes[:, 2]] = 0
+    return screen, boxes
+
+
+def _band(
+    screen: np.ndarray, boxes: np.ndarray, depths: np.ndarray, width: int, height: int, threads: int
+) -> np.ndarray:
+    """[height, width, 4]: as rasterizer.splat, of splats that are projected already."""
+    order = np.empty(len(boxes), np.int32)
+    order = order[: sort_by_depth(depths, boxes, order, np.empty(len(boxes), np.int32))]
+    across, down = -(-width // TILE), -(-height // TILE)
+    tile_ends, first_pairs = np.empty(across * down + 1, np.int64), np.empty(len(order) + 1, np.int64)
+    pairs = count_pairs(boxes, order, len(order), across, tile_ends, first_pairs)
+    members, places = np.empty(pairs, np.int32), np.empty(pairs, np.int32)
+    fill_pairs(boxes, order, len(order), across, tile_ends, members, places)
+    tiles = np.empty((across * down, 4, PIXELS), np.float32)
+    blend(screen, boxes, tile_ends, members, across, threads, tiles)
+    full = tiles.reshape(down, across, 4, TILE, TILE).transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 4)
+    image = np.ascontiguousarray(full[:height, :width])
+    image[..., 3] = 1 - image[..., 3]
+    return image
