@@ -60,6 +60,8 @@ def test_what_pyproject_asks_for_is_pinned_within_its_bounds(python, torch):
             assert one.specifier.contains(found[canonicalize_name(one.name)]), one
     tests = chosen(python, "test.txt")
     for one in map(Requirement, extras["test"]):
+        if one.marker is not None and not one.marker.evaluate(on_linux(python)):
+            continue  # no wheels for that Python
         assert one.specifier.contains(tests[canonicalize_name(one.name)]), one
     assert chosen(python, "torch.txt")["triton"] == tests["triton"]
 
