@@ -96,7 +96,9 @@ def test_light_in_photos_and_paintings_becomes_srgb(source, tmp_path):
         {255},
     ]
     painted = read_style_image(photo).numpy()
-    np.testing.assert_allclose(painted[:, 5, [0, 12, 30]], [[1, 0.75, 0.5]] * 3, atol=1e-5)  # over white
+    # What is half covered or more counts as it is; the two columns outside the data window are cut off.
+    assert painted.shape[1:] == (36, 46)
+    np.testing.assert_allclose(painted[:3], 0.5, atol=1e-5)
 
 
 # -- COLMAP ------------------------------------------------------------------------------------------------------------
