@@ -83,15 +83,15 @@ def read_style_image(
     if not (keep_frame or crop) and pixels.shape[2] == 3 and (frame := frame_of(pixels)):
         say(f"{path.name}: left out a frame of {frame}; --keep-frame keeps it")
         pixels = frame.without(pixels)
+    return _tensor(path, pixels)
+
+
+def _tensor(path: Path, pixels: np.ndarray) -> torch.Tensor:
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
         raise BadInput(
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least {SMALLEST_SIDE} pixels a side "
             "is needed"
         )
-    return _tensor(pixels)
-
-
-def _tensor(pixels: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
 
@@ -105,7 +105,7 @@ def digest_of(references: Sequence[str]) -> str:
         view, path = file_of(text)
         if not path.is_file():
             raise BadInput(f"--reference {text}: there is no such image")
-        read_colors(path)
+        _tensor(path, read_colors(path))
         total.update(f"{view}={file_sha256(path)}\n".encode())
     return total.hexdigest() if references else ""
 
@@ -125,7 +125,7 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
         name, file = file_of(text)
         place = training_view(scene, name, f"--reference {text}")
         camera = scene.cameras[scene.splits["train"][place]]
-        picture = _tensor(read_colors(file))
+        picture = _tensor(file, read_colors(file))
         height, width = picture.shape[1:]
         if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
             raise BadInput(

@@ -6,6 +6,7 @@ such a list, a COLMAP model or a transforms.json, all in the splats' frame. Phot
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +24,9 @@ from stylerf.errors import InvalidValue
 from stylerf.geometry.camera_conventions import checked_pose
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.distortion import pinhole_of
-from stylerf.kernels.cpu.splats import Gaussians
+
+if TYPE_CHECKING:  # brings numba, which no other import needs
+    from stylerf.kernels.cpu.splats import Gaussians
 
 # Longest side of a picture: 3DGS trains on at most so many columns, and shows no finer detail.
 LONGEST = 1600
@@ -98,6 +101,8 @@ def rendered(files: SplatFiles, folder: Path, context: Context) -> SourceScene:
     """
     cameras, kind = _cameras(files.cameras)
     stored = read_splat_ply(files.splats)
+    from stylerf.kernels.cpu.splats import Gaussians
+
     gaussians = Gaussians(stored.centers, stored.log_scales, stored.quaternions, stored.logits, stored.harmonics)
     context.progress.say(f"{len(stored.centers)} splats seen by {len(cameras)} cameras ({kind})")
     journal = Journal(folder / "whole.jsonl", folder)
@@ -179,7 +184,7 @@ def _pinhole(one: SourceCamera) -> Camera:
     return camera.scaled(min(1.0, LONGEST / max(full)))
 
 
-def _seen(gaussians: Gaussians, camera: Camera, path: Path, threads: int) -> np.ndarray:
+def _seen(gaussians: "Gaussians", camera: Camera, path: Path, threads: int) -> np.ndarray:
     """[h, w, 3 or 4] uint8, straight alpha."""
     from stylerf.splats.forward import picture
 
@@ -209,7 +214,7 @@ def _of_render(one: SourceCamera, camera: Camera, path: Path) -> SourceCamera:
     )  # fmt: skip
 
 
-def _points(gaussians: Gaussians) -> SourcePoints | None:
+def _points(gaussians: "Gaussians") -> SourcePoints | None:
     """Return the centers of the most opaque splats with their mean colors."""
     opaque = np.flatnonzero(gaussians.logits > np.log(POINT_OPACITY / (1 - POINT_OPACITY)))
     order = np.argsort(-gaussians.logits[opaque], kind="stable")[:MOST_POINTS]

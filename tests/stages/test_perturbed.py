@@ -99,6 +99,9 @@ def packed(arrays: dict[str, tuple[str, list[int], bytes]], metadata: dict[str, 
 
 def others_of(array: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Arrays that are nearly the same."""
+    if not array.size:
+        yield "one", np.ones((1, *array.shape[1:]), array.dtype)
+        return
     yield "one fewer", array[:-1]
     yield "one more", np.concatenate([array, array[-1:]])
     yield "empty", array[:0]
