@@ -84,6 +84,23 @@ def on_gpu() -> str:
     return "\n".join([*lines, "", where(report)])
 
 
+def splats() -> str:
+    """Markdown of exported splats beside their fields."""
+    report = result("splats.json")
+    lines = [
+        "| field | splats | steps | splats to field | splats to photos | field to photos |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in report["rows"]:
+        names = ("psnr_to_photos", "field_psnr_to_photos")
+        to_photos = [f"{row[name]:.2f} dB" if name in row else "–" for name in names]
+        lines.append(
+            f"| {row['work']}, {row['field']} | {row['splats']:,} | {row['steps']} | {row['psnr_to_field']:.2f} dB "
+            f"| {to_photos[0]} | {to_photos[1]} |"
+        )
+    return "\n".join([*lines, "", where(report)])
+
+
 def tensorf() -> str:
     """Markdown of the training time to reach a quality, ours and TensoRF's; empty if not measured."""
     if not (RESULTS / "tensorf.json").is_file():
@@ -425,6 +442,7 @@ BLOCKS = {
     "docs/results.md": {
         "fits": fits,
         "gpu": on_gpu,
+        "splats": splats,
         "tensorf": tensorf,
         "capacities": capacities,
         "kinds": kinds,
