@@ -157,7 +157,7 @@ def _others(container: Any) -> str:
 
 
 def _declared(container: Any, stream: Any) -> int:
-    """Return the number of frames by the clip's headers, roughly; 0 if they do not tell."""
+    """Return the number of frames by the clip's headers, roughly; 0 if unknown."""
     if stream.frames > 0:
         return min(int(stream.frames), MOST_FRAMES)
     seconds = (container.duration or 0) / 1e6

@@ -20,7 +20,7 @@ from stages.evaluation.perceptual_metrics import style_file
 from stages.evaluation.test_views import FrameViews, SceneViews
 
 PATH = "test"  # the held-out views, which no method saw
-# What does not tell methods or settings apart: the group has the style image, and the rest leaves no trace.
+# What does not distinguish methods or settings: the group has the style image, and the rest leaves no trace.
 PASSED = frozenset(
     ("style", "style_digest", "features_digest", "reference", "references_digest", "checkpoint_every_seconds")
 )

@@ -181,7 +181,7 @@ def _rows(path: Path) -> Rows:
 
 
 def _by_lens(job: Job, copies: list[Copy]) -> list[list[Copy]]:
-    """Group the copies that share a camera; clips of video tell nothing of their zoom, so each has its own."""
+    """Group the copies that share a camera; the zoom of a clip of video is unknown, so each has its own."""
     if not job.shared:
         return [[copy] for copy in copies]
     groups: dict[tuple[str, int], list[Copy]] = {}

@@ -91,7 +91,7 @@ def _layer(style: Style) -> Layer:
 def _displacement(stacked: Sequence[Style]) -> np.ndarray | None:
     """Return the mixed displacement [m, m, m, 3], None if nothing is displaced.
 
-    A vertex counts to a region by where it comes to lie, as samples do.
+    A vertex counts to a region by its displaced position, as samples do.
     """
     grids = [style.field.displacement for style in stacked if style.field.displacement is not None]
     if not grids:

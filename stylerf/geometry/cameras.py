@@ -89,7 +89,10 @@ class Camera:
             Origins and unit directions in world coordinates, [n, 3] float32 each.
         """
         rows, columns = np.divmod(np.arange(self.height * self.width) if pixels is None else pixels, self.width)
-        x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
+        return self.rays_through((columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy)
+
+    def rays_through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return origins and unit directions in world coordinates, [n, 3] float32 each, of X/Z and Y/Z [n] float64."""
         length = np.sqrt(x * x + y * y + 1)
         directions = np.empty((len(x), 3), np.float32)
         # Written out: a matrix product may round differently for another number of rows.

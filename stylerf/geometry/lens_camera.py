@@ -20,12 +20,7 @@ class LensCamera(Camera):
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """As for a pinhole. A pixel that the lens model reaches from no direction gets the viewing axis."""
         points = np.nan_to_num(self.points().reshape(-1, 2)[slice(None) if pixels is None else pixels], nan=0.0)
-        x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-        length = np.sqrt(x * x + y * y + 1)
-        directions = np.empty((len(x), 3), np.float32)
-        for axis, (right, down, forward) in enumerate(self.world_from_camera[:3, :3]):
-            directions[:, axis] = (right * x + down * y + forward) / length
-        return np.tile(self.center.astype(np.float32), (len(x), 1)), directions
+        return self.rays_through(points[:, 0].astype(np.float64), points[:, 1].astype(np.float64))
 
     def ray_cosines(self) -> np.ndarray:
         """As for a pinhole."""

@@ -2,7 +2,7 @@
 
 Rows, below, are the lines parallel to a side, counted from it. A row is uniform if its colors, but for a linear trend,
 vary little; so a band may be shaded across (a profile) and along (a lamp). A painting without a frame, too, may have
-uniform rows, as of sky. What tells them apart is the edge: it crosses the whole side at one depth, and other sides have
+uniform rows, as of sky. The difference is the edge: it crosses the whole side at one depth, and other sides have
 one too.
 """
 
@@ -65,7 +65,7 @@ def frame_of(pixels: np.ndarray) -> Frame:
     """Find the frame of an image.
 
     Either bands of all four sides end in an edge, or those of at least two sides have an edge where their colors are
-    alike. So a band that goes on evenly within the painting (a sky below white paper) ends where those of others do.
+    alike. So a band that continues evenly within the painting (a sky below white paper) ends where those of others do.
     Not found: carved or worn frames, frames wider than MOST, turned by more than a fraction of a degree, or on one side
     only.
 

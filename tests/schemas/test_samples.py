@@ -44,7 +44,7 @@ DIGESTS = {
     "scene-4": "d93f86ac9b4414d293aec1b00194069f32d042e81be0f7d01a6387a7b90eb33f",
     "export-1": "333e3f171b726144356a68c1b5fdb6d2acc92399ec627f715a3c7f886d1b6c58",
 }
-THREADS = {1: None, 2: 2, 3: 2, 4: 2}  # by schema: what the manifest tells of them
+THREADS = {1: None, 2: 2, 3: 2, 4: 2}  # by schema: what the manifest records of them
 
 
 def test_every_schema_of_every_kind_has_a_sample():

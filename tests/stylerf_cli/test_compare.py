@@ -102,9 +102,9 @@ def stylized(tmp_path):
 def test_votes_on_a_page_of_pairs_are_counted(stylized, tmp_path, capsys):
     root = str(stylized.root)
     assert main(["compare", root, "--pairs", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    key = json.loads((stylized.root / "comparison" / "pairs" / f"{Path(told['key']).stem}.json").read_text())
-    assert told["pairs"] == 2 and Path(told["page"]).is_file() and {*key["pairs"]} == {"0", "1"}
+    reported_text = json.loads(capsys.readouterr().out)
+    key = json.loads((stylized.root / "comparison" / "pairs" / f"{Path(reported_text['key']).stem}.json").read_text())
+    assert reported_text["pairs"] == 2 and Path(reported_text["page"]).is_file() and {*key["pairs"]} == {"0", "1"}
     labels = [one["label"] for one in key["contenders"]]
     choices = ["left" if labels[pair["left"]] == "red" else "right" for pair in key["pairs"].values()]
     votes = [{"pair": number, "choice": choice, "seconds": 1} for number, choice in enumerate(choices)]
@@ -138,6 +138,6 @@ def test_votes_on_a_page_of_pairs_are_counted(stylized, tmp_path, capsys):
 )
 def test_pairs_and_votes_that_cannot_be_are_refused(stylized, capsys, arguments, code, words):
     assert main(["compare", str(stylized.root), *arguments]) == code
-    told = capsys.readouterr().err
-    assert words in told and "Traceback" not in told
+    reported_text = capsys.readouterr().err
+    assert words in reported_text and "Traceback" not in reported_text
     assert not (stylized.root / "comparison" / "pairs.html").exists()

@@ -39,7 +39,7 @@ def vote(pair, choice):
 
 
 def test_sides_become_contenders_by_the_key(out):
-    """arf is chosen wherever it stands."""
+    """arf is chosen on whichever side it is."""
     file = saved(out, [vote(0, "left"), vote(1, "right"), vote(2, "same"), vote(3, "left")])
     found = read_votes([file], out)
     assert [one.winner and one.winner.label for one in found] == ["arf", "arf", None, "snerf"]
