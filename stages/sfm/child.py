@@ -41,7 +41,7 @@ def run(job: Job, progress: JobProgress) -> None:
     """Run the steps that no interrupted run has finished; write model/ and result.json to the job's folder."""
     import pycolmap
 
-    from stages.sfm import colmap_database, mapping, photo_copies, quality, silhouettes
+    from stages.sfm import colmap_database, mapping, matching, photo_copies, quality, silhouettes
 
     progress.started()
     pycolmap.logging.minloglevel = 1
@@ -51,7 +51,7 @@ def run(job: Job, progress: JobProgress) -> None:
     used = photo_copies.usable(every, quality.FEWEST_PHOTOS)
     path = colmap_database.register(job, used, progress)
     colmap_database.extract(job, path, used, progress)
-    colmap_database.match(job, path, used, progress)
+    matching.match(job, path, used, progress)
     models = mapping.reconstruct(job, path, len(used), progress)
     refined, refuted, share = False, [], 0.0
     if models:

@@ -1,4 +1,4 @@
-"""COLMAP's database: photos and cameras, features, matches. Each step skips what an interrupted run has finished.
+"""COLMAP's database: photos, cameras, features, pairs to match. Each step skips what an interrupted run has finished.
 
 A damaged database (see Rows) is rebuilt.
 """
@@ -142,7 +142,7 @@ def _digest(database: sqlite3.Connection, table: str, number: int) -> str:
 DATABASE, REGISTERED, ROWS = "database.db", "registered", "rows.jsonl"
 # One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
 CAMERA_MODEL = "SIMPLE_RADIAL"
-PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 4, 40
+PHOTOS_AT_ONCE = 4
 # The octave of twice the photo's size costs four times all others and holds the least repeatable features: it is
 # searched only in photos so small (longest side) that they would have few without.
 SMALL_PHOTO = 800
@@ -153,7 +153,7 @@ def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
     if done.is_file():
-        if _rows(path).sound():
+        if rows_of(path).sound():
             return path
         progress.say("warning: the features and matches of the interrupted run are damaged; recomputing them")
     for leftover in (done, folder / ROWS, *folder.glob(f"{DATABASE}*")):  # with its journal
@@ -171,12 +171,13 @@ def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
         found = database.num_images()
     if found != len(copies):
         raise BadInput(f"COLMAP took in {found} of {len(copies)} photos; remove unusual ones and run again")
-    _rows(path).record()
+    rows_of(path).record()
     write_bytes(done, b"")
     return path
 
 
-def _rows(path: Path) -> Rows:
+def rows_of(path: Path) -> Rows:
+    """Return the digests of the rows of the job's database at `path`."""
     return Rows(path, path.with_name(ROWS))
 
 
@@ -197,7 +198,7 @@ def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> 
     options.sift.max_num_features = job.features
     options.sift.first_octave = -1 if max(max(copy.size) for copy in copies) <= SMALL_PHOTO else 0
     progress.step("finding features", len(copies), "photo")
-    missing, rows = _without_features(path, copies), _rows(path)
+    missing, rows = _without_features(path, copies), rows_of(path)
     done = len(copies) - len(missing)
     for part in _in_parts(missing):
         reader = pycolmap.ImageReaderOptions()
@@ -230,66 +231,6 @@ def _without_features(path: Path, copies: list[Copy]) -> list[Copy]:
         ]
 
 
-def match(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> None:
-    """Matches of the chosen pairs and their two-view geometry, each pair's RANSAC with the same seed."""
-    matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
-    matching.num_threads, matching.use_gpu = job.threads, False
-    verification.ransac.random_seed = job.seed
-    pairing = pycolmap.ImportedPairingOptions()
-    listing, rows = Path(job.folder) / "pairs.txt", _rows(path)
-    pairing.match_list_path = str(listing)
-    wanted = [(copies[i].file, copies[j].file) for i, j in _pairs_of(job, copies)]
-    missing = _not_compared(path, wanted)
-    finished = len(wanted) - len(missing)
-    progress.step("matching", len(wanted), "pair")
-    progress.done(finished)
-    for start in range(0, len(missing), PAIRS_AT_ONCE):
-        part = missing[start : start + PAIRS_AT_ONCE]
-        _match(part, path, listing, matching, pairing, verification)
-        # On several threads and a busy machine COLMAP 4.2 rarely finds nothing in a pair that has a hundred matches.
-        if matching.num_threads > 1 and (empty := _without_matches(path, part)):
-            _forget(path, empty)
-            _match(empty, path, listing, matching, pairing, verification)
-        rows.record()
-        finished += len(part)
-        progress.done(finished)
-
-
-def _match(part: list[tuple[str, str]], path: Path, listing: Path, matching, pairing, verification) -> None:
-    write_bytes(listing, "".join(f"{first} {second}\n" for first, second in part).encode())
-    pycolmap.match_image_pairs(path, matching, pairing, verification)
-
-
-def _without_matches(path: Path, part: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    with pycolmap.Database.open(path) as database:
-        numbers = {image.name: image.image_id for image in database.read_all_images()}
-        return [
-            (first, second)
-            for first, second in part
-            if not len(database.read_matches(numbers[first], numbers[second]))
-        ]
-
-
-def _forget(path: Path, part: list[tuple[str, str]]) -> None:
-    """Delete what was found of the pairs, which is not recorded yet: if this is cut short, resuming finds it again."""
-    with pycolmap.Database.open(path) as database:
-        numbers = {image.name: image.image_id for image in database.read_all_images()}
-        for first, second in part:
-            database.delete_matches(numbers[first], numbers[second])
-            database.delete_two_view_geometry(numbers[first], numbers[second])
-
-
-def _not_compared(path: Path, wanted: list[tuple[str, str]]) -> list[tuple[str, str]]:
-    with pycolmap.Database.open(path) as database:
-        numbers = {image.name: image.image_id for image in database.read_all_images()}
-        both = [(numbers[first], numbers[second]) for first, second in wanted]
-        return [
-            pair
-            for pair, ids in zip(wanted, both, strict=True)
-            if not (database.exists_matches(*ids) and database.exists_two_view_geometry(*ids))
-        ]
-
-
 def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]:
     """Names of the two copies and the verified geometry of every pair with inliers."""
     with pycolmap.Database.open(path) as database:
@@ -305,11 +246,11 @@ def matched_pairs(path: Path) -> list[tuple[str, str, pycolmap.TwoViewGeometry]]
 
 def compared_pairs(job: Job, copies: list[Copy]) -> set[tuple[str, str]]:
     """Names of the copies of every pair that was searched for matches."""
-    return {(copies[i].file, copies[j].file) for i, j in _pairs_of(job, copies)}
+    return {(copies[i].file, copies[j].file) for i, j in pairs_of(job, copies)}
 
 
-def _pairs_of(job: Job, copies: list[Copy]) -> list[tuple[int, int]]:
-    """Pairs of the copies that are used, which may be fewer than the job's photos."""
+def pairs_of(job: Job, copies: list[Copy]) -> list[tuple[int, int]]:
+    """Index pairs of the copies that are used, which may be fewer than the job's photos."""
     return pairs(len(copies), job.matching, [_clip_of(job, copy) for copy in copies])
 
 

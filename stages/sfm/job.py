@@ -26,7 +26,7 @@ class Job:
         matching: exhaustive or sequential.
         shared: Photos of one size and zoom share a camera; otherwise each has its own.
         seed: Seed of every RANSAC.
-        threads: For features and matches; the mapper uses one, to be reproducible.
+        threads: For features, and processes for matches; the mapper uses one thread, to be reproducible.
         clips: For frames of video the number of each one's clip; () for photos.
     """
 

@@ -4,7 +4,6 @@ import json
 import shutil
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from schemas.canonical_json import file_sha256
 from schemas.images import write_png
 from stages.run.progress import Context
-from stages.sfm import colmap_database, photo_copies, reconstruction
+from stages.sfm import colmap_database, matching, photo_copies, reconstruction
 from stages.sfm.colmap_database import Rows
 from stages.sfm.job import Job
 from tests.stages.importing import Said
@@ -68,8 +67,7 @@ def photos(tmp_path_factory) -> Path:
 @pytest.fixture
 def job(photos, tmp_path) -> Job:
     masks = tuple((str(photos / "masks" / f"p0{n}.png") if n < 2 else "", "") for n in range(4))
-    # On one thread: on two, a busy machine rarely finds no match at all in a pair, and runs are compared here.
-    return Job(str(tmp_path), tuple(str(photos / f"p0{n}.png") for n in range(4)), masks, threads=1)
+    return Job(str(tmp_path), tuple(str(photos / f"p0{n}.png") for n in range(4)), masks)
 
 
 @pytest.mark.parametrize("damage", [flipped, cut, Path.unlink])
@@ -98,7 +96,7 @@ def matched(job: Job) -> tuple[Heard, Path]:
     used = photo_copies.usable(photo_copies.make_copies(job, tell), 3)
     path = colmap_database.register(job, used, tell)
     colmap_database.extract(job, path, used, tell)
-    colmap_database.match(job, path, used, tell)
+    matching.match(job, path, used, tell)
     return tell, path
 
 
@@ -147,26 +145,6 @@ def test_a_damaged_database_is_made_again(job, damage):
     tell, path = matched(job)
     assert rows(path) == whole
     assert tell.lines == ["warning: the features and matches of the interrupted run are damaged; recomputing them"]
-
-
-def test_a_pair_that_lost_its_matches_on_two_threads_is_matched_again(job, tmp_path, monkeypatch):
-    _, path = matched(job)
-    whole = rows(path)
-    for leftover in tmp_path.iterdir():
-        shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
-    calls = []
-
-    def losing(path, *options, found=pycolmap.match_image_pairs):
-        calls.append((tmp_path / "pairs.txt").read_text().splitlines())
-        found(path, *options)
-        if len(calls) == 1:
-            for table in ("matches", "two_view_geometries"):
-                last = f"pair_id = (SELECT max(pair_id) FROM {table})"
-                changed(path, f"UPDATE {table} SET rows = 0, data = x'' WHERE {last}")
-
-    monkeypatch.setattr(pycolmap, "match_image_pairs", losing)
-    _, path = matched(replace(job, threads=2))
-    assert calls[1:] == [["00002.jpg 00003.jpg"]] and rows(path) == whole
 
 
 def test_an_intact_database_is_kept_and_partial_rows_are_recomputed(job, tmp_path):

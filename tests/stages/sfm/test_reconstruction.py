@@ -160,7 +160,7 @@ def wait_for(condition, seconds=30.0):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("sign", ["copies/00003.jpg", "registered", "pairs.txt", "models"])
+@pytest.mark.parametrize("sign", ["copies/00003.jpg", "registered", "matching", "models"])
 def test_ctrl_c_ends_it_within_ten_seconds_and_leaves_what_is_done(room, tmp_path, sign):
     """As soon as the file `sign` shows that a step has begun, the terminal's signal comes."""
     work = tmp_path / "w"
