@@ -18,6 +18,9 @@ BOX, CONTRACTION, FRUSTUM = 0, 1, 2
 OPTICAL_SCALE = np.float32(100.0)
 # Of raw density: exp(12) is opaque within any step, exp(-15) transparent across the cube, and float32 holds both.
 EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
+# Beyond so many times its width and height, and in front of half its near depth, a frustum is nothing but its outermost
+# cells, drawn out: rays end there.
+FRUSTUM_MARGIN = np.float32(2.0)
 _ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
 TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
 
@@ -92,7 +95,8 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
 
 @inline
 def ray_span(space, ox, oy, oz, dx, dy, dz, near):
-    """Distances between which a ray is marched: the box's entry and exit, or near and far. Empty: first >= second."""
+    """Distances between which a ray is marched: the box's entry and exit, or near and far, for a ray that leaves the
+    frustum its exit. Empty: first >= second."""
     t0, t1, numbers = near, space.far, space.numbers
     if space.kind == BOX:
         for a in range(3):
@@ -115,6 +119,21 @@ def ray_span(space, ox, oy, oz, dx, dy, dz, near):
                     u, w = w, u
                 t0 = max(t0, u)
                 t1 = min(t1, w)
+    elif space.kind == FRUSTUM:
+        for side in range(5):  # of the plane through each, p is the height of the origin, v its change along the ray
+            if side == 0:
+                p, v = oz - numbers[2] * _HALF, dz
+            elif side <= 2:
+                wide = FRUSTUM_MARGIN * numbers[0]
+                p, v = (wide * oz - ox, wide * dz - dx) if side == 1 else (wide * oz + ox, wide * dz + dx)
+            else:
+                wide = FRUSTUM_MARGIN * numbers[1]
+                p, v = (wide * oz - oy, wide * dz - dy) if side == 3 else (wide * oz + oy, wide * dz + dy)
+            if v < TINY:
+                if p < _ZERO:
+                    return _ONE, _ZERO
+                if v < -TINY:
+                    t1 = min(t1, -p / v)
     return t0, t1
 
 

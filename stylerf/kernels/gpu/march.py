@@ -8,11 +8,12 @@ launch, so that the number of samples need not be read back.
 import triton
 import triton.language as tl
 
-from stylerf.kernels.cpu.march import OPTICAL_SCALE, TINY
+from stylerf.kernels.cpu import march as cpu_march
 from stylerf.kernels.gpu.indexing import SIZES, cell, store_vector, trilinear_corner, vector
 from stylerf.kernels.gpu.tables import raw_density
 
-SCALE, SMALLEST = tl.constexpr(float(OPTICAL_SCALE)), tl.constexpr(float(TINY))
+SCALE, SMALLEST = tl.constexpr(float(cpu_march.OPTICAL_SCALE)), tl.constexpr(float(cpu_march.TINY))
+FRUSTUM_MARGIN = tl.constexpr(float(cpu_march.FRUSTUM_MARGIN))
 MOST_TURNS = tl.constexpr(1 << 16)  # a step too small for float32 to move the ray must not hang the GPU
 
 
@@ -74,6 +75,14 @@ def _clip_axis(o, d, low, scale, t0, t1):
 
 
 @triton.jit
+def _clip_side(p, v, t1):
+    """End a ray at a plane above which its origin lies by p, and which it nears by -v per distance."""
+    nearing = v < -SMALLEST
+    end = tl.where(nearing, tl.minimum(t1, -p / tl.where(nearing, v, 1.0)), t1)
+    return tl.where((v < SMALLEST) & (p < 0.0), -1.0, end)
+
+
+@triton.jit
 def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
     """Distances between which a ray is marched; empty if the first is not less than the second."""
     t0, t1 = near, far + 0.0 * near
@@ -81,6 +90,13 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
         t0, t1 = _clip_axis(ox, dx, tl.load(space), tl.load(space + 3), t0, t1)
         t0, t1 = _clip_axis(oy, dy, tl.load(space + 1), tl.load(space + 4), t0, t1)
         t0, t1 = _clip_axis(oz, dz, tl.load(space + 2), tl.load(space + 5), t0, t1)
+    elif KIND == 2:
+        wide, high = tl.load(space) * FRUSTUM_MARGIN, tl.load(space + 1) * FRUSTUM_MARGIN
+        t1 = _clip_side(oz - tl.load(space + 2) * 0.5, dz, t1)
+        t1 = _clip_side(wide * oz - ox, wide * dz - dx, t1)
+        t1 = _clip_side(wide * oz + ox, wide * dz + dx, t1)
+        t1 = _clip_side(high * oz - oy, high * dz - dy, t1)
+        t1 = _clip_side(high * oz + oy, high * dz + dy, t1)
     return t0, t1
 
 

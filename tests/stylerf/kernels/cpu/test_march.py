@@ -216,6 +216,19 @@ def test_captures_end_in_an_opaque_background(kind):
     assert not opaque.background.any() and len(opaque.rays) == 30  # stopped at once: nothing left to take
 
 
+def test_rays_that_leave_a_frustum_end_where_they_leave_it():
+    space = SPACES["frustum"]
+    bx, by, near = space.parameters[:3]
+    origins = np.float32([[0, 0, 5], [0, 0, 5], [0, 0, 5], [0, 0, 0.4], [0.5, 0, -3]]) * near
+    ways = np.float32([[0, 0, -1], [1, 0, 0], [0, -1, 0], [0, 0, -1], [0, 0.1, -1]])
+    samples = march(even_fog(1e-5), space, Rays.of(origins, ways, 0.0, np.full(5, 0.5, np.float32)), samples_per_ray=512)
+    counts = samples.ends - samples.starts
+    leaves = np.array([4.5, 2 * bx * 5, 2 * by * 5]) * near
+    assert counts[:3].min() > 5 and counts[3:].tolist() == [0, 0]
+    last = samples.t[samples.ends[:3] - 1]
+    assert (last < leaves).all() and (last > 0.8 * leaves).all()
+
+
 def test_an_empty_grid_gives_no_sample_in_an_open_box():
     empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))

@@ -100,6 +100,17 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
     assert (s.t == np.float32(SPACES[kind].far)).all()
 
 
+def test_rays_that_leave_a_frustum_have_the_samples_of_the_cpu(device):
+    space = SPACES["frustum"]
+    origins = np.float32([[0.2, 0, 5], [0.2, 0, 5], [0, 0.3, 5], [0, 0, 0.4], [0.5, 0, -3]]) * np.float32(space.near)
+    ways = np.float32([[0, 0, -1], [1, 0, 0], [0, -1, 0], [0, 0, -1], [0, 0.1, -1]])
+    rays, fog = Rays.of(origins, ways, space.near, np.full(5, 0.5, np.float32)), even_fog(1e-5)
+    host = RadianceField(space, fog, hash_color(1), occupied(), 1 / 8).march(rays, 512, 1e-3, 1)
+    found = device_field(fog, device, space).march(device_rays(rays, device), 512, 1e-3, None)
+    counts = (found.ends - found.starts).tolist()
+    assert counts == (host.ends - host.starts).tolist() and counts[3:] == [1, 1] and min(counts[:3]) > 5
+
+
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])
 def test_a_sample_that_was_not_counted_takes_the_backdrops_light(kind, device, monkeypatch):
     """The two launches of a march are compiled separately: rounding can give the second one a sample more."""
