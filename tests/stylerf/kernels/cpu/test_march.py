@@ -221,7 +221,8 @@ def test_rays_that_leave_a_frustum_end_where_they_leave_it():
     bx, by, near = space.parameters[:3]
     origins = np.float32([[0, 0, 5], [0, 0, 5], [0, 0, 5], [0, 0, 0.4], [0.5, 0, -3]]) * near
     ways = np.float32([[0, 0, -1], [1, 0, 0], [0, -1, 0], [0, 0, -1], [0, 0.1, -1]])
-    samples = march(even_fog(1e-5), space, Rays.of(origins, ways, 0.0, np.full(5, 0.5, np.float32)), samples_per_ray=512)
+    rays = Rays.of(origins, ways, 0.0, np.full(5, 0.5, np.float32))
+    samples = march(even_fog(1e-5), space, rays, samples_per_ray=512)
     counts = samples.ends - samples.starts
     leaves = np.array([4.5, 2 * bx * 5, 2 * by * 5]) * near
     assert counts[:3].min() > 5 and counts[3:].tolist() == [0, 0]
