@@ -174,3 +174,23 @@ def test_channels_are_words_that_compositors_take():
         "left.eye": "left_eye_3",
     }  # fmt: skip
     assert channels_of(["a.b", "a_b_2", "a_b"]) == {"a_b": "a_b", "a_b_2": "a_b_2", "a.b": "a_b_3"}
+
+
+def test_cryptomatte_and_deep_frames_say_what_the_flat_frame_says(work, regions, capsys):
+    folder, _, _ = rendered(work, capsys, *TEST, "--cryptomatte", "--deep")
+    for frame in read_frames(folder).views:
+        _, planes, spec = planes_of(folder / frame.exr)
+        texts = {one.name: str(one.value) for one in spec.extra_attribs if one.name.startswith("cryptomatte/")}
+        (manifest,) = [json.loads(text) for name, text in texts.items() if name.endswith("/manifest")]
+        assert set(manifest) == set(regions)
+        for name, mask in (("all+", "mask.all_"), ("low", "mask.low")):
+            own = np.uint32(int(manifest[name], 16)).view(np.float32)
+            pairs = [(planes[f"crypto_region0{layer}.{a}"], planes[f"crypto_region0{layer}.{b}"])
+                     for layer in (0, 1) for a, b in ("RG", "BA") if f"crypto_region0{layer}.R" in planes]  # fmt: skip
+            found = sum(np.where(ids == own, coverage, 0) for ids, coverage in pairs)
+            np.testing.assert_allclose(found, planes[mask], atol=1e-3)
+        flat = oiio.ImageBufAlgo.flatten(oiio.ImageBuf(str(folder / "deep" / Path(frame.exr).name)))
+        names = flat.spec().channelnames
+        pixels = flat.get_pixels(oiio.FLOAT)
+        for channel in "RGBA":
+            np.testing.assert_allclose(pixels[..., names.index(channel)], planes[channel], atol=4e-3)
