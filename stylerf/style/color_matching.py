@@ -68,6 +68,16 @@ def in_colors_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = N
     return torch.cat([matched.float(), style_image[3:]])
 
 
+def in_brightness_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return a style image [3 or 4, h, w] in gray, with the mean and variance of the brightness of sRGB colors [n, 3].
+
+    Brightness is the mean of the three channels, so that what learns from it keeps its hue (Gatys et al. 2016,
+    "Preserving color", luminance-only transfer). A fourth channel is alpha, which stays; what it hides does not count.
+    """
+    gray = style_image[:3].mean(0, keepdim=True).expand(3, -1, -1)
+    return in_colors_of(torch.cat([gray, style_image[3:]]), colors.mean(1, keepdim=True).expand(-1, 3), weights)
+
+
 def spread_at_least(style_image: Tensor, least: float) -> Tensor:
     """Return the style image [3, h, w] with a standard deviation of luma of at least `least` (0..0.25).
 

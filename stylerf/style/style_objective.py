@@ -180,8 +180,10 @@ class FeatureLoss:
     On a GPU it runs in bfloat16, and neighbors are searched in float16; sums are float32.
     """
 
-    def __init__(self, extractor: FeatureExtractor, weights: StyleWeights, scale: float, variation: str) -> None:
-        self.extractor, self.weights, self.scale = extractor, weights, scale
+    def __init__(
+        self, extractor: FeatureExtractor, weights: StyleWeights, scale: float, variation: str, gray: bool = False
+    ) -> None:
+        self.extractor, self.weights, self.scale, self.gray = extractor, weights, scale, gray
         self.variation = VARIATIONS[variation]
         self.device = extractor.input_scale.device
         on_gpu = self.device.type == "cuda"
@@ -190,6 +192,8 @@ class FeatureLoss:
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
         """Return features by block of a window of an image [3, h, w], at the feature scale."""
         part = picture[:, *window]
+        if self.gray:
+            part = part.mean(0, keepdim=True).expand(3, -1, -1)
         small = resized(part, *feature_size(part.shape[1], part.shape[2], self.scale))
         return by_block(self.extractor.layers, features(self.extractor, small[None], self.half))
 
@@ -212,6 +216,7 @@ class StyleObjective(FeatureLoss):
         variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
         around: Feature positions next to the object that count too.
         diversity: How evenly transport uses the style features; see style/transport.py.
+        gray: Features are those of the images' brightness, so that the loss changes no hue.
 
     Attributes:
         draw: Number of the step, from which positions are drawn.
@@ -233,8 +238,9 @@ class StyleObjective(FeatureLoss):
         diversity: float = 0.5,
         stroke: float = 1.0,
         rotations: bool = False,
+        gray: bool = False,
     ) -> None:
-        super().__init__(extractor, weights, scale, variation)
+        super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
         picture = stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke).to(self.device)
         found = style_features(extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)

@@ -73,8 +73,9 @@ class ViewLoss:
             size = (scene.cameras[0].height, scene.cameras[0].width)
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
             self._objective = OBJECTIVES[s.loss](
-                self.extractor, style_image, size, *options, self.around, s.diversity, s.stroke, s.rotations
-            )
+                self.extractor, style_image, size, *options, self.around, s.diversity, s.stroke, s.rotations,
+                s.keep_colors,
+            )  # fmt: skip
         return self._objective
 
     def content(self, view: int) -> Content | None:

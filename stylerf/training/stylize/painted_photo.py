@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.style.color_matching import in_colors_of, match_colors, spread_at_most
+from stylerf.style.color_matching import in_brightness_of, in_colors_of, match_colors, spread_at_most
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageOptimization
 from stylerf.training.stylize.arf import OBJECTIVES
@@ -52,7 +52,8 @@ def painted_photo(
     weights = None if alpha is None else alpha.flatten()
     start, style_colors = plain, style_image
     if settings.keep_colors:
-        style_image = style_colors = in_colors_of(style_image, plain.flatten(1).T, weights)
+        style_colors = in_colors_of(style_image, plain.flatten(1).T, weights)
+        style_image = in_brightness_of(style_image, plain.flatten(1).T, weights)
     else:
         style_colors = spread_at_most(style_image, plain.flatten(1).T, settings.max_gain, weights)
         if settings.match in ("both", "before"):
@@ -67,6 +68,7 @@ def painted_photo(
             objective = OBJECTIVES[settings.loss](
                 extractor, style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale, settings.style_rows,
                 settings.style_basis, settings.style_scale, seed, settings.variation, 0, settings.diversity,
+                gray=settings.keep_colors,
             )  # fmt: skip
             content = objective.content_of(start) if settings.weights.need_photo else None
         objective.draw = at

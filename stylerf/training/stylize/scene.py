@@ -21,6 +21,7 @@ from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import (
+    in_brightness_of,
     in_colors_of,
     match_colors,
     pixels_of,
@@ -304,8 +305,8 @@ class StyledScene(Generic[Settings_co]):
         pixels = sum(camera.width * camera.height for camera in self.cameras)
         colors, weights = of_object.colors(p.seed, pixels)
         if isinstance(s, ImageStyleSettings) and s.keep_colors and self.style_image is not None:
-            self.style_image = in_colors_of(self.style_image, colors, weights)
-            self.style_colors = shown_colors(self.style_image)
+            self.style_colors = shown_colors(in_colors_of(self.style_image, colors, weights))
+            self.style_image = in_brightness_of(self.style_image, colors, weights)
             return photos.__getitem__
         # Both matches aim at these colors: two bounds, one after the other, would allow their product.
         self.style_colors = spread_at_most(self.style_colors, colors, s.max_gain, weights)

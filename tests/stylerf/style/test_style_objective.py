@@ -406,3 +406,12 @@ def test_structure_is_part_of_the_loss_where_it_has_a_weight():
     expected = float(style_objective.missing_edges(image, style_objective.luma_gradient(photo)))
     assert float(loss) == pytest.approx(2 * expected, rel=1e-2) and parts["structure"] > 0
     assert objective(StyleWeights(1, 0, 0, 0, 0)).weights.need_photo is False
+
+
+@pytest.mark.parametrize("kind", [StyleObjective, GramObjective, TransportObjective])
+def test_a_gray_objective_pulls_at_no_hue(kind):
+    made = kind(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), StyleWeights(1, 0, 0, 0), basis=0, gray=True)
+    seen = picture(HEIGHT, WIDTH, 2).requires_grad_()
+    made(seen, None)[0].backward()
+    assert float(seen.grad.abs().max()) > 0
+    torch.testing.assert_close(seen.grad, seen.grad.mean(0, keepdim=True).expand(3, -1, -1))
