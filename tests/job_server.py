@@ -7,6 +7,7 @@ the children with SIGKILL, each at a random share of the time that such a verb t
 """
 
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from random import Random
@@ -22,6 +24,9 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 CLIENT = REPOSITORY / "tests" / "job_client.py"
 STARTS_WITHIN_SECONDS = 300.0
 LONGEST_ORDER = 1 << 20  # bytes
+# Of numba's threading layers only this one lives on in a child that is forked after kernels have run.
+ALONE = {"CUDA_VISIBLE_DEVICES": "", "NUMBA_THREADING_LAYER": "workqueue", **dict.fromkeys(
+    ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -40,14 +45,22 @@ class JobServer:
     it was killed.
     """
 
-    def __init__(self, folder: Path, killing: Killing | None = None) -> None:
+    def __init__(self, folder: Path, killing: Killing | None = None, warm: Sequence[Sequence[str]] = ()) -> None:
+        """Start it.
+
+        Args:
+            folder: of the log and the socket.
+            killing: whom to kill; None for nobody.
+            warm: commands that the server runs itself before any other, below `folder`, so that its children find
+                kernels and weights loaded.
+        """
         folder.mkdir(parents=True, exist_ok=True)
         self.log = folder / "children.jsonl"
         self._socket = folder / "socket"
-        order = {"folder": str(folder), "killing": None if killing is None else asdict(killing)}
+        order = {"folder": str(folder), "killing": None if killing is None else asdict(killing), "warm": warm}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.job_server", json.dumps(order)], cwd=REPOSITORY,
-            env=os.environ | {"CUDA_VISIBLE_DEVICES": ""}, stdin=subprocess.DEVNULL,
+            env=os.environ | ALONE, stdin=subprocess.DEVNULL,
         )  # fmt: skip
         end = time.monotonic() + STARTS_WITHIN_SECONDS
         while not self._socket.exists():
@@ -80,6 +93,10 @@ def serve(order: dict) -> None:
     import stages.stylize  # noqa: F401
 
     folder = Path(order["folder"])
+    if order["warm"]:
+        _warm_up(folder / "warm", order["warm"])
+    gc.freeze()  # else the first collection in every child copies all that it shares with the server
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
         listening.bind(str(folder / ".socket"))
@@ -93,6 +110,18 @@ def serve(order: dict) -> None:
                 _attend(client, folder, order["killing"])
                 os._exit(0)
             client.close()
+
+
+def _warm_up(folder: Path, commands: list[list[str]]) -> None:
+    from stylerf_cli.main import main
+
+    folder.mkdir()
+    before = os.getcwd()
+    os.chdir(folder)
+    for argv in commands:
+        code = main([*argv, "--quiet", "--threads", "1", "--device", "cpu"])
+        assert code == 0, argv
+    os.chdir(before)
 
 
 def _attend(client: socket.socket, folder: Path, killing: dict | None) -> None:

@@ -58,7 +58,7 @@ def read_yaml(path: Path) -> Any:
 
     try:
         text = read_text(path, LARGEST, UsageError)
-        return yaml.load(text, Loader)  # noqa: S506 - a SafeLoader
+        return yaml.load(text, Loader)
     except FileNotFoundError:
         raise UsageError(f"{path}: there is no such table") from None
     except (yaml.YAMLError, ValueError, RecursionError) as error:

@@ -65,7 +65,8 @@ def run(args: Any, session: Session) -> dict[str, Any]:
         )  # fmt: skip
     except JobsFailed as error:
         for one in error.details["failed"][1:MOST_NAMED]:
-            session.say(f"{one['key']}: {one['why']}" + (f" ({one['blocked']} jobs wait for it)" if one["blocked"] else ""))
+            waiting = f" ({one['blocked']} jobs wait for it)" if one["blocked"] else ""
+            session.say(f"{one['key']}: {one['why']}{waiting}")
         if "report" in error.details:
             session.say(f"report on what stands: {error.details['report']['page']}")
         raise
@@ -101,8 +102,9 @@ def plan_lines(plan: dict[str, Any]) -> list[str]:
             f"at least {_time(content['longest_seconds'])} on any number of such cores; {_size(content['disk_mb'])} "
             "of disk"
         )
-        by = plan["costs"]["corrected_by"]
-        lines.append("priced by " + (f"{by} artifacts of this table" if by else f"stages measured on {plan['costs']['from']}"))
+        costs = plan["costs"]
+        source = f"{costs['corrected_by']} artifacts of this table" if costs["corrected_by"] else costs["from"]
+        lines.append(f"priced by {source}")
     return lines
 
 

@@ -1,0 +1,166 @@
+"""Kills on a table of small jobs: `python -m benchmarks.farm kills OUT.json [--scenes 5] [--seed 0]`.
+
+Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps, one thread a job) with one scene that
+does not exist is run undisturbed. Then it is run in a second folder, where a third of all attempts are ended by SIGKILL
+at a random share of the median time of their verb, and where `stylerf farm` is itself killed twice, Snakemake and all,
+and started again; while it runs, the same command is started a second time and must be refused. At the end the digests
+of all files of all artifacts must be those of the undisturbed run, nothing may be left of interrupted runs, `stylerf
+verify` must find every work folder sound, and the bad scene alone must be named. Jobs are children of a server that has
+imported stylerf and loaded its kernels, so that a job takes seconds.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+from random import Random
+
+from benchmarks.conditions import here_and_now
+from tests.campaign.ground import contents, leftovers
+from tests.farm_table import warming, write_table
+from tests.job_server import JobServer, Killing
+
+KILLED_SHARE, WHOLE_KILLS, MOST_RUNS = 1 / 3, 2, 10
+
+
+def farm(table: Path, server: JobServer, log: Path) -> "subprocess.Popen[bytes]":
+    """Start the command; Snakemake's words go to `log`."""
+    with open(log, "ab") as stream:
+        return subprocess.Popen(
+            [sys.executable, "-m", "stylerf_cli.main", "farm", str(table), "--cores", "2", "--json"],
+            env=os.environ | server.env, stdout=subprocess.PIPE, stderr=stream, start_new_session=True,
+        )  # fmt: skip
+
+
+def result_of(command: "subprocess.Popen[bytes]") -> dict:
+    """Its JSON and exit code."""
+    out, _ = command.communicate()
+    return {"code": command.returncode, **(json.loads(out) if out.strip() else {})}
+
+
+def digests(table: Path, scenes: int) -> dict[str, dict]:
+    """Digests of the files of all artifacts, by scene."""
+    return {f"scene{number}": contents(table.with_suffix("") / f"scene{number}") for number in range(scenes)}
+
+
+def killed_whole(command: "subprocess.Popen[bytes]", after: float) -> bool:
+    """Kill the command and Snakemake after so many seconds; whether they still ran."""
+    try:
+        command.wait(after)
+        return False
+    except subprocess.TimeoutExpired:
+        pass
+    children = Path(f"/proc/{command.pid}/task/{command.pid}/children").read_text().split()
+    for child in children:  # Snakemake leads a group of its own
+        os.killpg(int(child), signal.SIGKILL)
+    command.kill()
+    command.communicate()
+    return True
+
+
+def kills(scenes: int, seed: int, folder: Path) -> dict:
+    """The campaign; what happened."""
+    shape = {"scenes": scenes, "styles": 2, "seeds": 2, "eval": False}
+    chance, commands = Random(seed), warming(folder / "warming")
+    tables = []
+    for name in ("undisturbed", "killed"):
+        table = write_table(folder / name, **shape)
+        content = json.loads(table.read_text())
+        content["scenes"]["bad"] = "nowhere"
+        table.write_text(json.dumps(content))
+        tables.append(table)
+
+    server = JobServer(folder / "first", warm=commands)
+    start = time.monotonic()
+    first = result_of(farm(tables[0], server, folder / "first.log"))
+    whole_seconds = time.monotonic() - start
+    seconds = defaultdict(list)
+    for one in server.children():
+        seconds[one["argv"][0]].append(one["seconds"])
+    server.close()
+    medians = {verb: statistics.median(values) for verb, values in seconds.items()}
+    print(f"undisturbed: {first['standing']} jobs in {whole_seconds:.0f} s", flush=True)
+
+    server = JobServer(folder / "second", Killing(KILLED_SHARE, medians, seed), commands)
+    start, runs, refused, wholes = time.monotonic(), 0, [], 0
+    while True:
+        runs += 1
+        command = farm(tables[1], server, folder / "second.log")
+        if wholes < WHOLE_KILLS:
+            time.sleep(20)
+            refused.append(result_of(farm(tables[1], server, folder / "third.log")))
+            if killed_whole(command, whole_seconds * chance.uniform(0.1, 0.5)):
+                wholes += 1
+                print(f"killed as a whole, {wholes}", flush=True)
+                continue
+        last = result_of(command)
+        if {one["key"] for one in last["failed"]} == {"bad/scene/main"} or runs == MOST_RUNS:
+            break
+    killed_seconds = time.monotonic() - start
+    children = server.children()
+    server.close()
+    verified = [
+        subprocess.run(
+            [sys.executable, "-m", "stylerf_cli.main", "verify", str(tables[1].with_suffix("") / f"scene{number}"),
+             "--quiet"], check=False, capture_output=True,
+        ).returncode
+        for number in range(scenes)
+    ]  # fmt: skip
+    one, other = (digests(table, scenes) for table in tables)
+    differing = [f"{scene}/{name}" for scene in one for name in one[scene] | other[scene]
+                 if one[scene].get(name) != other[scene].get(name)]  # fmt: skip
+    left = [name for number in range(scenes) for name in leftovers(tables[1].with_suffix("") / f"scene{number}")]
+    ends = Counter(child["code"] for child in children)
+    return {
+        "jobs": first["jobs"],
+        "standing": [first["standing"], last["standing"]],
+        "artifacts_compared": sum(map(len, one.values())),
+        "differing": differing,
+        "left_over": left,
+        "verify_exit_codes": verified,
+        "failed": [[entry["key"] for entry in end["failed"]] for end in (first, last)],
+        "why": last["failed"][0]["why"].replace(str(folder), "FOLDER"),
+        "attempts": len(children),
+        "attempts_killed": ends[-signal.SIGKILL],
+        "exit_codes": {str(code): count for code, count in sorted(ends.items())},
+        "whole_runs_killed": wholes,
+        "runs": runs,
+        "second_run_refused": [[one["code"], one.get("error", "").replace(str(folder), "FOLDER")] for one in refused],
+        "seconds": {"undisturbed": round(whole_seconds), "killed": round(killed_seconds)},
+        "median_seconds_of_verbs": {verb: round(value, 2) for verb, value in medians.items()},
+    }
+
+
+def main() -> int:
+    """Run what is asked for and write its result; 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(prog="benchmarks.farm", description=__doc__.split("\n\n")[0])
+    parser.add_argument("what", choices=["kills"])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--scenes", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="farm-"))
+    try:
+        found = kills(asked.scenes, asked.seed, folder)
+    finally:
+        for log in folder.glob("*.log"):
+            shutil.copy(log, asked.out.parent / f".{log.name}")
+        shutil.rmtree(folder, ignore_errors=True)
+    protocol = __doc__.partition("Protocol of `kills`: ")[2].strip()
+    command = f"python -m benchmarks.farm kills OUT.json --scenes {asked.scenes} --seed {asked.seed}"
+    result = {"command": command, "protocol": protocol, **here_and_now(), "seed": asked.seed, **found}
+    asked.out.write_text(json.dumps(result, indent=1) + "\n")
+    wrong = found["differing"] or found["left_over"] or any(found["verify_exit_codes"])
+    return int(bool(wrong) or found["standing"][0] != found["standing"][1])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
