@@ -41,7 +41,8 @@ def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, contai
         raise UsageError(f"--profile {profile}: expected {', '.join(PROFILES)} or a folder with a config.yaml")
     here = ["--cores", str(cores), "--resources", f"mem_mb={memory_mb}"]
     command = [
-        sys.executable, "-P", "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--directory", str(out), "--profile", profile,
+        sys.executable, "-P", "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--directory", str(out),
+        "--profile", profile,
         # This folder's own lock keeps a second Snakemake out; that of Snakemake would stay after a kill.
         "--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime", "params", "--retries", str(config.retries),
         *(here if config.profile == "local" else ["--jobs", str(config.jobs)]),
@@ -60,7 +61,7 @@ def run_engine(command: Sequence[str], lock: Lock, quiet: bool) -> int:
         lock: of the table's folder. It is held until Snakemake itself has ended, also if this process is killed.
         quiet: drop what Snakemake says, which is progress and goes to stderr.
     """
-    stream = subprocess.DEVNULL if quiet else sys.__stderr__.fileno()
+    stream = subprocess.DEVNULL if quiet else 2
     child = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, pass_fds=lock.descriptors(),
         start_new_session=True,

@@ -1,6 +1,6 @@
 """The jobs of a table: one command of `stylerf` each, what it waits for, and the artifact that it makes."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -111,7 +111,6 @@ def _of_seed(table: Table, scene: Scene, seed: int, first: str) -> Iterator[Job]
         deformed = Job(
             DEFORM, name, "field", f"fit-deformed-s{seed}",
             (DEFORM, work, "--of", fit.name, "--name", f"fit-deformed-s{seed}", *flags_of(scene.deform)), (fit.key,),
-            budget=scene.deform.budget,
         )  # fmt: skip
         yield deformed
         # Stylizations are compared with the field before them, whose frames would else be rendered by several at once.
@@ -137,7 +136,7 @@ def _of_seed(table: Table, scene: Scene, seed: int, first: str) -> Iterator[Job]
         yield from _shown(scene, edited, measured)
 
 
-def _shown(scene: Scene, field: Job, also: Iterable[str]) -> Iterator[Job]:
+def _shown(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, None, tuple[str, ...]]":
     """Renders in shards, then joined, and the evaluation, which takes these frames if it can; return its key."""
     frames = tuple(_rendered(scene, field))
     yield from frames
@@ -174,7 +173,7 @@ def _frames_name(field: str, config: RenderConfig) -> str:
     return f"{field}-{label_of(config.path)}" + ("" if config.strength == 1 else f"-strength-{config.strength:g}")
 
 
-def _measured(scene: Scene, field: Job, also: Iterable[str]) -> Iterator[Job]:
+def _measured(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, None, tuple[str, ...]]":
     """The evaluation; return its key in a tuple, empty if the scene is not evaluated."""
     if scene.evaluate is None:
         return ()

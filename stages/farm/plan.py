@@ -69,10 +69,11 @@ def plan_of(jobs: Mapping[str, Job], costs: Mapping[str, Cost], standing: Collec
                 PlannedRule(
                     rule, len(of_rule), len(of_rule) - len(todo), sum(one.seconds for one in todo),
                     max((one.peak_mb for one in todo), default=0.0), sum(one.disk_mb for one in todo),
-                )  # fmt: skip
+                )
             )
     return Plan(
-        tuple(rules), cores, threads, _makespan(left, costs, max(cores // threads, 1)), max(chains.values(), default=0.0),
+        tuple(rules), cores, threads, _makespan(left, costs, max(cores // threads, 1)),
+        max(chains.values(), default=0.0),
         sum(costs[key].seconds for key in left), sum(costs[key].disk_mb for key in left),
     )  # fmt: skip
 

@@ -161,8 +161,8 @@ def _gaps(table: Table, known: Sequence[tuple[Run, Axes]], cells: Sequence[Cell]
         short = [column for column in COLUMNS
                  if column not in cell.values or cell.values[column].count < len(cell.seeds)]  # fmt: skip
         if short:
-            gaps.append(Gap(f"{cell.scene}, {cell.style}, {cell.method}: {', '.join(short)}",
-                            "Not measured for every seed, over too few pixels, or by different protocols."))  # fmt: skip
+            why = "Not measured for every seed, over too few pixels, or by different protocols."
+            gaps.append(Gap(f"{cell.scene}, {cell.style}, {cell.method}: {', '.join(short)}", why))
     return gaps
 
 
@@ -171,8 +171,8 @@ def _sheet(
 ) -> tuple[list[SheetRow], list[Gap]]:
     """One row per scene and style: the photo, the style image, and the first seed of every method, at one view."""
     first = table.seeds[0]
-    wanted = [run for run in runs
-              if (at := axes.get((run.work, run.name))) and at.method not in ("", EDIT) and at.seed == first]  # fmt: skip
+    stylized = {key for key, at in axes.items() if at.method not in ("", EDIT) and at.seed == first}
+    wanted = [run for run in runs if (run.work, run.name) in stylized]
     found, gaps = contenders_of(wanted, fields_of_works(works))
     blocks: dict[tuple[str, str], list[Contender]] = {}
     for one in found:
@@ -227,8 +227,8 @@ def _chart(standings: Sequence[Standing], fronts: Mapping[str, Sequence[str]], l
                 axes.annotate(one, point, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK)
             axes.margins(x=0.3, y=0.2)
             axes.set_title(labels[column].partition(" (")[0], fontsize=9.5)
-            axes.set_xlabel(f"relative to the mean of methods, {labels[column].rpartition(' is')[0].split()[-1]} is better",
-                            fontsize=8)  # fmt: skip
+            end = labels[column].removesuffix(" is better)").split()[-1].strip("(")
+            axes.set_xlabel(f"relative to the mean of methods; {end} is better", fontsize=8)
             if not place:
                 axes.set_ylabel("style distance, relative; lower is better", fontsize=8.5)
             axes.grid()

@@ -106,8 +106,8 @@ def run_table(
             raise
         holder = str(error).partition("(")[2].partition(")")[0]
         raise OutOfResources(
-            f"{out} is being filled by another `stylerf farm` (process {holder}); wait for it to end, or give the table "
-            "another `out`"
+            f"{out} is being filled by another `stylerf farm` (process {holder}); wait for it to end, or give the "
+            "table another `out`"
         ) from error
     try:
         sweep_copies(out, farm.jobs)

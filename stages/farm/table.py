@@ -167,7 +167,7 @@ def read_table(file: Path, build: Build) -> Table:
     """
     content = read_yaml(file)
     if not isinstance(content, dict):
-        raise UsageError(f"{file}: expected a table with scenes, styles and methods; docs/how-to/many-scenes.md has one")
+        raise UsageError(f"{file}: expected a mapping with scenes, styles and methods; see docs/how-to/many-scenes.md")
     checks = _Checks(file, build)
     for key in content:
         if key not in KEYS:
@@ -203,7 +203,7 @@ def _scenes(checks: _Checks, content: Mapping[str, Any]) -> tuple[Scene, ...]:
         where = f"scenes: {name}"
         own = {"source": given} if isinstance(given, str) else checks.mapping(given, where)
         if name in RESERVED:
-            checks.fault(where, f"is the name of a folder of the table itself; others than {', '.join(RESERVED)} can be")
+            checks.fault(where, "is the name of a folder that the table itself fills; choose another")
         for key in own:
             if key not in ("source", *VERBS):
                 checks.fault(where, f"has no key {_shown(key)}; known are source, {', '.join(VERBS)}")
