@@ -3,19 +3,19 @@
     python -m benchmarks.farm kills OUT.json [--scenes 5] [--seed 0]
     python -m benchmarks.farm slurm OUT.json [--scenes 2] [--seed 0]
 
-Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps, one thread a job) with one scene that
-does not exist is run undisturbed. Then it is run in a second folder, where a third of all attempts are ended by SIGKILL
-at a random share of the median time of their verb, and where `stylerf farm` is itself killed twice, Snakemake and all,
-and started again; while it runs, the same command is started a second time and must be refused. At the end the digests
-of all files of all artifacts must be those of the undisturbed run, nothing may be left of interrupted runs, `stylerf
-verify` must find every work folder sound, and the bad scene alone must be named. Jobs are children of a server that has
-imported stylerf and loaded its kernels, so that a job takes seconds.
+Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps, one thread a job) with one scene
+that does not exist is run undisturbed. Then it is run in a second folder, where a third of all attempts are ended by
+SIGKILL at a random share of the median time of their verb, and where `stylerf farm` is itself killed twice, Snakemake
+and all, and started again; while it runs, the same command is started a second time and must be refused. At the end
+the digests of all files of all artifacts must be those of the undisturbed run, nothing may be left of interrupted
+runs, `stylerf verify` must find every work folder sound, and the bad scene alone must be named. Jobs are children of
+a server that has imported stylerf and loaded its kernels, so that a job takes seconds.
 
 Protocol of `slurm`: such a table is run undisturbed on this machine, then with --profile slurm, where sbatch, sacct,
-scancel and srun are stand-ins (tests/slurm_stand_in.py) that run jobs here, late, and of which 15 % are preempted and
+scancel and srun are stand-ins (tests/slurm_stand_in.py) that run jobs here, late; 15 % of them are preempted and
 queued again, 15 % die with their node, 10 % are reported as lost while they run on; a tenth of the queries of states
-fails. At the end the digests must be those of the undisturbed run. This simulates what a cluster does to jobs; no figure
-of it is a measurement of a cluster.
+fails. At the end the digests must be those of the undisturbed run. This simulates what a cluster does to jobs; no
+figure of it is a measurement of a cluster.
 """
 
 import argparse
@@ -41,9 +41,11 @@ from tests.slurm_stand_in import install, jobs_in
 
 KILLED_SHARE, WHOLE_KILLS, MOST_RUNS = 1 / 3, 2, 10
 
+HERE = ("--cores", "2")
+
 
 def farm(
-    table: Path, server: JobServer, log: Path, flags: Sequence[str] = ("--cores", "2"), env: dict[str, str] | None = None
+    table: Path, server: JobServer, log: Path, flags: Sequence[str] = HERE, env: dict[str, str] | None = None
 ) -> "subprocess.Popen[bytes]":
     """Start the command; Snakemake's words go to `log`."""
     with open(log, "ab") as stream:
@@ -172,8 +174,8 @@ def slurm(scenes: int, seed: int, folder: Path) -> dict:
     env = install(folder / "slurm", seed)
     while True:
         runs += 1
-        flags = ("--profile", "slurm", "--", "--slurm-init-seconds-before-status-checks", "2",
-                 "--seconds-between-status-checks", "3", "--latency-wait", "10")  # fmt: skip
+        flags = ("--profile", "slurm", "--snakemake=--slurm-init-seconds-before-status-checks 2 "
+                 "--seconds-between-status-checks 3 --latency-wait 10")  # fmt: skip
         last = result_of(farm(tables[1], server, folder / "second.log", flags, env))
         named = {one["key"] for one in last.get("failed", ())}
         if last["code"] != 1 or named == {"bad/scene/main"} or runs == MOST_RUNS:
@@ -194,7 +196,7 @@ def slurm(scenes: int, seed: int, folder: Path) -> dict:
         "submitted": len(jobs),
         "fates_met": dict(Counter(job["met"] for job in jobs if job.get("met"))),
         "states": dict(Counter(job["state"] for job in jobs)),
-        "exit_codes_of_commands": {str(code): count for code, count in Counter(one["code"] for one in children).items()},
+        "exit_codes_of_commands": dict(Counter(str(one["code"]) for one in children)),
         "runs": runs,
         "seconds_simulated": round(seconds),
     }

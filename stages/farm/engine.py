@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -25,16 +26,14 @@ def refuse_missing(profile: str) -> None:
             raise OutOfResources(f"{package} is not installed; install it with: pip install 'stylerf[farm]'")
 
 
-def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, container: str, more: Sequence[str]
-               ) -> list[str]:  # fmt: skip
+def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, container: str) -> list[str]:
     """Return the command line of Snakemake.
 
     Args:
-        config: profile, queued jobs, retries, dry run.
+        config: profile, queued jobs, retries, dry run, and further options, which override these.
         out: the folder of the table.
         cores, memory_mb: that jobs on this machine may use at once.
         container: image that jobs run in, empty for none.
-        more: further options for Snakemake, which override these.
     """
     profile = str(HERE / "profiles" / config.profile) if config.profile in PROFILES else config.profile
     if config.profile not in PROFILES and not (Path(profile) / "config.yaml").is_file():
@@ -49,7 +48,7 @@ def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, contai
         *(["--software-deployment-method", "apptainer"] if container else []),
         *(["--dry-run"] if config.dry_run else []),
     ]  # fmt: skip
-    return [*command, *more]
+    return [*command, *shlex.split(config.snakemake)]
 
 
 def run_engine(command: Sequence[str], lock: Lock, quiet: bool) -> int:

@@ -1,6 +1,6 @@
 """Run a table: check, plan, call Snakemake, name what failed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -73,7 +73,6 @@ def run_table(
     config: FarmConfig,
     cores: int,
     memory_mb: int,
-    more: Sequence[str] = (),
     *,
     no_paths: bool = False,
     quiet: bool = False,
@@ -85,7 +84,6 @@ def run_table(
         farm: the table and its jobs.
         config: where jobs run.
         cores, memory_mb: what jobs on this machine may use at once.
-        more: further options for Snakemake.
         no_paths: record files outside by name alone.
         quiet: drop what Snakemake says.
         report: writes the report over what stands; not called in a dry run or if no field stands.
@@ -112,7 +110,7 @@ def run_table(
     try:
         sweep_copies(out, farm.jobs)
         write_jobs(farm.table, farm.jobs, farm.cost_of, no_paths)
-        command = command_of(config, out, cores, memory_mb, farm.table.container, more)
+        command = command_of(config, out, cores, memory_mb, farm.table.container)
         if not config.dry_run:
             forget_results(out)
         code = run_engine(command, lock, quiet)

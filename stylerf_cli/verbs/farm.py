@@ -15,9 +15,8 @@ MOST_NAMED = 20  # failed jobs in the output; --json lists all
 
 
 def add_arguments(parser: Parser) -> None:
-    """TABLE, and options for Snakemake after `--`."""
+    """TABLE."""
     parser.add_argument("table", metavar="TABLE", type=Path, help="the YAML file (docs/how-to/many-scenes.md)")
-    parser.add_argument("more", metavar="OPTION", nargs="*", help="options for Snakemake, after --")
 
 
 def build(config: type, options: Mapping[str, Any], where: str, others: tuple[type, ...] = ()) -> Any:
@@ -27,7 +26,6 @@ def build(config: type, options: Mapping[str, Any], where: str, others: tuple[ty
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return the plan, or how many jobs stand, what failed, and the report."""
-    from schemas.errors import UsageError
     from stages.farm.run import JobsFailed, farm_of, planned, run_table
     from stages.farm.table import TableFaults, read_table
     from stages.pipeline.resources import usable_threads
@@ -35,8 +33,6 @@ def run(args: Any, session: Session) -> dict[str, Any]:
 
     _refuse_common(args)
     config = session.config
-    if args.more and config.plan:
-        raise UsageError("--plan does not call Snakemake, so that its options have no effect; leave them out")
     try:
         table = read_table(args.table, build)
     except TableFaults as error:
@@ -60,9 +56,8 @@ def run(args: Any, session: Session) -> dict[str, Any]:
 
     try:
         result = run_table(
-            farm, config, cores, memory // 10**6, args.more,
-            no_paths=args.no_paths, quiet=args.quiet, report=report,
-        )  # fmt: skip
+            farm, config, cores, memory // 10**6, no_paths=args.no_paths, quiet=args.quiet, report=report
+        )
     except JobsFailed as error:
         for one in error.details["failed"][1:MOST_NAMED]:
             waiting = f" ({one['blocked']} jobs wait for it)" if one["blocked"] else ""

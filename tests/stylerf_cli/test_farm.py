@@ -136,7 +136,7 @@ def test_the_plan_runs_nothing(tmp_path, capsys):
         (["--plan", "--dry-run"], "give one of them"),
         (["--jobs", "5"], "on this machine, give --cores"),
         (["--profile", "nowhere"], "--profile nowhere"),
-        (["--plan", "--", "--forceall"], "--plan does not call Snakemake"),
+        (["--plan", "--snakemake=--forceall"], "--plan does not call Snakemake"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(tmp_path, capsys, flags, said):
