@@ -23,7 +23,9 @@ def refuse_missing(profile: str) -> None:
     """Raise OutOfResources if Snakemake, or its part for Slurm, is not installed."""
     for module, package in PACKAGES.items():
         if (profile == "slurm" or module == "snakemake") and importlib.util.find_spec(module) is None:
-            raise OutOfResources(f"{package} is not installed; install it with: pip install 'stylerf[farm]'")
+            raise OutOfResources(
+                f"{package} is not installed; install it with: pip install 'stylerf[farm]' (Python 3.11 to 3.13)"
+            )
 
 
 def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, container: str) -> list[str]:

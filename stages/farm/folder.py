@@ -2,6 +2,7 @@
 
     OUT/<scene>/                   the work folder of a scene
     OUT/farm/jobs.json             the jobs, as the Snakefile reads them
+    OUT/farm/frames.toml           options of the frames that evaluations render
     OUT/farm/manifests/KEY.json    copies of the manifests of finished artifacts: Snakemake's outputs
     OUT/farm/results/KEY.json      what the last attempt of a job printed: figures, or its error
     OUT/farm/logs/KEY.log          its messages
@@ -17,12 +18,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.atomic_write import write_json
+from schemas.atomic_write import write_bytes, write_json
 from schemas.errors import BadInput
 from schemas.safe_names import printable
 from schemas.safe_reading import read_json
 from stages.farm.costs import Cost
-from stages.farm.jobs import Job
+from stages.farm.jobs import FRAMES, Job
 from stages.farm.table import Table
 
 JOBS = "jobs.json"
@@ -100,6 +101,8 @@ def write_jobs(table: Table, jobs: Mapping[str, Job], costs: Mapping[str, Cost],
             for key, job in jobs.items()
         },
     }
+    # As for renders: which regions there are depends on the edits that happen to be finished.
+    write_bytes(table.out / FRAMES, b"[render]\nregions = false\n")
     write_json(farm_folder(table.out) / JOBS, content)
 
 

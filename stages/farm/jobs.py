@@ -13,6 +13,7 @@ SCENE = "main"  # the name that `import` gives by default
 IMPORT, FIT, DEFORM, STYLIZE, EDIT, SHARD, RENDER, EVAL = (
     "import", "fit", "deform", "stylize", "edit", "shard", "render", "eval",
 )  # fmt: skip
+FRAMES = "farm/frames.toml"  # options of the frames that evaluations render
 RULES = (IMPORT, FIT, DEFORM, STYLIZE, EDIT, SHARD, RENDER, EVAL)
 
 
@@ -178,7 +179,10 @@ def _measured(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, 
     if scene.evaluate is None:
         return ()
     along = ("--path", scene.path) if scene.path else ()
-    argv = (EVAL, scene.name, "--of", field.name, "--name", field.name, *along, *flags_of(scene.evaluate))
+    argv = (
+        EVAL, scene.name, "--of", field.name, "--name", field.name, "--config", FRAMES, *along,
+        *flags_of(scene.evaluate),
+    )  # fmt: skip
     job = Job(EVAL, scene.name, "report", field.name, argv, (field.key, *dict.fromkeys(also)))
     yield job
     return (job.key,)
