@@ -30,6 +30,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from random import Random
 
@@ -41,6 +42,7 @@ from tests.slurm_stand_in import install, jobs_in
 
 KILLED_SHARE, WHOLE_KILLS, MOST_RUNS = 1 / 3, 2, 10
 
+VERSIONS = {name: version(name) for name in ("snakemake", "snakemake-executor-plugin-slurm", "numba", "torch")}
 HERE = ("--cores", "2")
 
 
@@ -220,8 +222,8 @@ def main() -> int:
         shutil.rmtree(folder, ignore_errors=True)
     protocol = __doc__.partition(f"Protocol of `{asked.what}`: ")[2].partition("\n\n")[0].strip()
     command = f"python -m benchmarks.farm {asked.what} OUT.json --scenes {scenes} --seed {asked.seed}"
-    result = {"command": command, "protocol": protocol, **here_and_now(), "seed": asked.seed, **found}
-    asked.out.write_text(json.dumps(result, indent=1) + "\n")
+    result = {"command": command, "protocol": protocol, **here_and_now(), "versions": VERSIONS, "seed": asked.seed}
+    asked.out.write_text(json.dumps(result | found, indent=1) + "\n")
     wrong = found["differing"] or found["left_over"] or any(found["verify_exit_codes"])
     return int(bool(wrong) or found["standing"][0] != found["standing"][1])
 
