@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from schemas.errors import CheckFailed, OutOfResources, UsageError
+from schemas.errors import CheckFailed, OutOfResources, StylerfError, UsageError
 from schemas.lock import Lock
 from stages.configs.farm import FarmConfig
 from stages.farm.costs import Cost, Costs, corrected, shipped_costs
@@ -132,7 +132,12 @@ def _outcome(
     failed = failures(out, farm.jobs)
     result["failed"] = [asdict(one) for one in failed]
     if report is not None and any(farm.jobs[key].kind == "field" for key in there):
-        result["report"] = report()
+        try:
+            result["report"] = report()
+        except StylerfError as error:
+            if not failed:
+                raise
+            result["report_fault"] = str(error)  # why jobs failed matters more, and is said below
     if failed:
         blocked = len(farm.jobs) - len(there) - len(failed)
         waiting = f", {blocked} wait for them" if blocked else ""

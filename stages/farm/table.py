@@ -34,6 +34,7 @@ KEYS = (
 RESERVED = ("farm", "report")  # folders of the table beside those of its scenes
 MOST_SEEDS, LARGEST_SEED, MOST_THREADS, MOST_SHARDS = 1000, 2**32 - 1, 1024, 10_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+]*(-[A-Za-z0-9._+]+)*")
+_IMAGE = re.compile(r"[A-Za-z0-9._:/@+-]{0,300}")  # it ends up in shell commands of Snakemake's
 LONGEST = 30  # characters of a name, so that a field can be called after a style, a method and a seed
 DEVICES = ("cpu", "cuda", "auto")
 
@@ -139,6 +140,13 @@ class _Checks:
         """A path of the table, relative to its folder."""
         return (self.file.parent / Path(text).expanduser()).resolve()
 
+    def outside(self, text: str, where: str) -> Path:
+        """The path of a file or folder that Snakemake watches, with a fault if it could not."""
+        found = self.path(text)
+        if {"{", "}"} & {*str(found)}:
+            self.fault(where, f"is {_shown(str(found))}; Snakemake takes braces for a wildcard; rename it or link to it")
+        return found
+
     def whole(self, value: object, where: str, low: int, high: int, default: int) -> int:
         """A whole number in a range, else the default and a fault."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
@@ -183,7 +191,7 @@ def read_table(file: Path, build: Build) -> Table:
         checks.fault("out", f"is {_shown(out)}; expected a folder")
         out = file.stem
     container = content.get("container", "")
-    if not isinstance(container, str) or any(ord(letter) < 33 for letter in container):
+    if not isinstance(container, str) or not _IMAGE.fullmatch(container):
         checks.fault("container", f"is {_shown(container)}; expected an image such as docker://HOST/stylerf:TAG")
         container = ""
     threads = checks.whole(content.get("threads", 2), "threads", 1, MOST_THREADS, 2)
@@ -214,7 +222,7 @@ def _scenes(checks: _Checks, content: Mapping[str, Any]) -> tuple[Scene, ...]:
         options = {verb: {**shared[verb], **_verb_options(checks, own.get(verb), f"{where}: {verb}")} for verb in VERBS}
         rendered = "render" in own or content.get("render") is not None
         evaluated = content.get("eval") is not False and own.get("eval") is not False
-        found.append(_scene(checks, name, checks.path(source), options, rendered, evaluated))
+        found.append(_scene(checks, name, checks.outside(source, f"{where}: source"), options, rendered, evaluated))
     if not found and not checks.faults:
         checks.fault("scenes", "is empty; expected NAME: SOURCE, one for each capture")
     return tuple(found)
@@ -265,7 +273,7 @@ def _styles(checks: _Checks, value: object) -> dict[str, Path]:
         if not isinstance(file, str) or not checks.path(file).is_file():
             checks.fault(f"styles: {name}", f"is {_shown(file)}; expected the file of an image, relative to the table")
         else:
-            found[name] = checks.path(file)
+            found[name] = checks.outside(file, f"styles: {name}")
     return found
 
 
