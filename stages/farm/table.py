@@ -144,7 +144,7 @@ class _Checks:
         """The path of a file or folder that Snakemake watches, with a fault if it could not."""
         found = self.path(text)
         if {"{", "}"} & {*str(found)}:
-            self.fault(where, f"is {_shown(str(found))}; Snakemake takes braces for a wildcard; rename it or link to it")
+            self.fault(where, f"is {_shown(str(found))}; Snakemake takes braces for wildcards: rename or link it")
         return found
 
     def whole(self, value: object, where: str, low: int, high: int, default: int) -> int:

@@ -66,7 +66,7 @@ def test_options_that_only_some_methods_have_may_be_shared(tmp_path):
         ({"scenes": {"../x": "photos"}}, "not a valid name"),
         ({"scenes": {"farm": "photos"}}, "scenes: farm is the name of a folder"),
         ({"scenes": {"fox": {"fit": {}}}}, "scenes: fox has no source"),
-        ({"scenes": {"fox": "pho{to}s"}}, "Snakemake takes braces for a wildcard"),
+        ({"scenes": {"fox": "pho{to}s"}}, "Snakemake takes braces for wildcards"),
         ({"scenes": {"fox": {"source": "photos", "fitt": {}}}}, "scenes: fox has no key 'fitt'"),
         ({"styles": {"night": "day.png"}}, "styles: night is 'day.png'; expected the file of an image"),
         ({"methods": {"bold": {}}}, "methods: bold is no method"),
