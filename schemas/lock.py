@@ -77,6 +77,10 @@ class Lock:
         self._close_folder()
         self._folder = handle
 
+    def descriptors(self) -> tuple[int, ...]:
+        """Return the open files that hold the lock. A child that inherits them holds it too, until both have ended."""
+        return tuple(one for one in (self._handle, self._folder) if one is not None)
+
     def release(self) -> None:
         """Free the lock; harmless if already free."""
         self._close_folder()

@@ -28,7 +28,7 @@ class Parser(argparse.ArgumentParser):
 
     def positionals(self) -> str:
         """Return the positional arguments as a usage line shows them."""
-        forms: dict[int | str | None, str] = {None: "{}", "?": "[{}]", "+": "{} ..."}
+        forms: dict[int | str | None, str] = {None: "{}", "?": "[{}]", "+": "{} ...", "*": "[{} ...]"}
         return " ".join(forms[one.nargs].format(one.metavar or one.dest) for one in self._get_positional_actions())
 
     def error(self, message: str) -> NoReturn:

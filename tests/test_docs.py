@@ -33,6 +33,7 @@ OTHER_OPTIONS = {
     *("--build-arg", "--gpus", "--rm", "--user"),  # docker
     *("--nnodes", "--no-python", "--nproc-per-node", "--rdzv-backend", "--rdzv-endpoint"),  # torchrun
     *("--index-url", "--no-build-isolation", "--no-deps", "--strict"),  # pip, mkdocs
+    *("--default-resources", "--apptainer-args", "--bind"),  # Snakemake, Apptainer
     *("--cases", "--crowds", "--kills", "--mutants", "--replay", "--stages"),  # python -m tests.campaign
     "--help",
 }

@@ -16,8 +16,14 @@ MOST_PAIRS, LARGEST_PAGE = 60, 1000  # ten minutes of a person; a page of a few 
 
 
 def add_arguments(parser: Parser) -> None:
-    """WORK..., --out, --pairs, --of, --most, --votes."""
-    parser.add_argument("works", metavar="WORK", nargs="+", type=Path, help="the work folders")
+    """WORK..., --table, --out, --pairs, --of, --most, --votes."""
+    parser.add_argument("works", metavar="WORK", nargs="*", type=Path, help="the work folders")
+    parser.add_argument(
+        "--table",
+        metavar="FILE",
+        type=Path,
+        help="in place of WORK: compare what `stylerf farm` made of this table, by its axes",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, help=f"output folder (default: {FOLDER} in the first WORK)")
     parser.add_argument(
         "--pairs",
@@ -45,6 +51,10 @@ def run(args: Any, session: Session) -> dict[str, Any]:
         raise UsageError("--of and --most choose what --pairs shows; add --pairs")
     if args.most is not None and not 1 <= args.most <= LARGEST_PAGE:
         raise UsageError(f"--most {args.most}: expected 1 to {LARGEST_PAGE} pairs")
+    if args.table is not None:
+        return _table(args, session)
+    if not args.works:
+        raise UsageError("no work folder is given; name at least one, or a table with --table")
     paths: dict[Path, Path] = {}
     for path in args.works:
         paths.setdefault(path.resolve(), path)
@@ -58,6 +68,23 @@ def run(args: Any, session: Session) -> dict[str, Any]:
 
     result = {"out": out, "page": out / "compare.html", "table": out / "runs.csv", **compared(works, out)}
     return session.emit(result, _words(result))
+
+
+def _table(args: Any, session: Session) -> dict[str, Any]:
+    if args.works or args.pairs or args.votes or args.out is not None:
+        raise UsageError(
+            "--table names the work folders and writes to the table's own folder; leave out WORK, --out, --pairs and "
+            "--votes"
+        )
+    from stages.farm.report import written_report
+    from stages.farm.table import read_table
+    from stylerf_cli.verbs.farm import build
+
+    result = written_report(read_table(args.table, build))
+    lines = [f"{one['method']}: mean rank {one['rank']:.2f} in {one['column']} over {one['blocks']} blocks"
+             for one in result["standings"]]  # fmt: skip
+    lines += [f"missing: {gap['what']}. {gap['why']}" for gap in result["missing"]]
+    return session.emit(result, [*lines, f"page: {result['page']}"])
 
 
 def _pairs(args: Any, works: list[WorkFolder], out: Path, session: Session) -> dict[str, Any]:

@@ -1,0 +1,237 @@
+"""The report over a table: what `compare` writes of its runs, and table.html, table.csv, table.json by its axes."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from typing import Any
+
+from schemas.atomic_write import sweeping, write_bytes, write_json
+from schemas.errors import ArtifactStale, StylerfError
+from schemas.work_folder import WorkFolder
+from stages.comparison.contenders import Contender, contenders_of
+from stages.comparison.page import COLORS, compared
+from stages.comparison.runs import STYLIZATIONS, Gap, Run, runs_of
+from stages.comparison.runs import fields_of as fields_of_works
+from stages.evaluation.metric_definitions import BY_KEY
+from stages.evaluation.metrics import Row, write_csv
+from stages.farm.cells import (
+    AGAINST,
+    COLUMNS,
+    COSTS,
+    STYLE,
+    Cell,
+    Standing,
+    better_of,
+    cells_of,
+    fronts_of,
+    standings_of,
+)
+from stages.farm.jobs import EDIT, Axes, fields_of, jobs_of
+from stages.farm.table import Table
+from stages.report.charts import INK, SETTINGS, Chart, finish
+from stages.report.contact_sheet import PICTURES_BYTES, Picture, SheetRow, encode
+from stages.report.pages import number, render_page
+from stylerf.environment.matplotlib_defaults import Figure as Drawing
+from stylerf.environment.matplotlib_defaults import rc_context
+
+FOLDER = "report"
+MOST_ROWS = 40  # of the contact sheet
+
+
+def written_report(table: Table) -> dict[str, Any]:
+    """Write compare.html and table.html with their data to OUT/report; return where they are and what is missing.
+
+    Raises:
+        ArtifactStale: no scene of the table holds a field.
+    """
+    works = [WorkFolder(table.out / scene.name) for scene in table.scenes]
+    works = [work for work in works if work.artifacts("field")]
+    if not works:
+        raise ArtifactStale(f"no field of this table in {table.out}; make them with: stylerf farm {table.file}")
+    out = table.out / FOLDER
+    compared(works, out)
+    axes = fields_of(table)
+    runs, _ = runs_of(works)
+    # runs_of labels works by their folders' names, which are the scenes' names.
+    known = [(run, axes[run.work, run.name]) for run in runs if (run.work, run.name) in axes]
+    placed = [(run, at) for run, at in known if run.family == STYLIZATIONS and at.method != EDIT]
+    cells = cells_of(placed)
+    better = {column: better_of([run for run, _ in placed], column) for column in COLUMNS}
+    standings = standings_of(cells, better)
+    fronts = fronts_of(standings, better)
+    gaps = _gaps(table, known, cells)
+    labels = _labels([run for run, _ in placed])
+    columns = [column for column in COLUMNS if any(column in cell.values for cell in cells)]
+    with sweeping((out,)):
+        sheet, unseen = _sheet(table, runs, works, axes)
+        chart = _chart(standings, fronts, labels)
+        write_csv(out / "table.csv", _rows(cells))
+        content = {
+            "name": table.file.name,
+            "seeds": table.seeds,
+            "cells": [asdict(cell) for cell in cells],
+            "standings": [asdict(one) for one in standings],
+            "fronts": fronts,
+            "missing": [asdict(gap) for gap in (*gaps, *unseen)],
+        }
+        write_json(out / "table.json", content)
+        page = render_page(
+            "table.html",
+            name=table.file.name,
+            summary=f"{len(table.scenes)} scenes, {len(table.styles)} styles, {len(table.methods)} methods, "
+            f"{len(table.seeds)} seeds: {len(known)} of {len(axes)} fields stand.",
+            columns=columns,
+            heads=[labels[column] for column in columns],
+            cells=_shown(cells),
+            methods=_methods(standings),
+            chart=chart,
+            sheet=sheet,
+            gaps=[*gaps, *unseen],
+        )
+        write_bytes(out / "table.html", page.encode())
+    return {"page": out / "table.html", "compare": out / "compare.html", "table": out / "table.csv", **content}
+
+
+def _labels(runs: Sequence[Run]) -> dict[str, str]:
+    found = {key: f"{label} ({unit}, {better} is better)" for key, (label, unit, better, _) in COSTS.items()}
+    for run in runs:
+        for key in COLUMNS:
+            if key in run.metrics:
+                one = run.metrics[key]
+                unit = f"{one.unit}, " if one.unit and one.unit != "fraction" else ""
+                found.setdefault(key, f"{one.label} ({unit}{one.better} is better)")
+    return found
+
+
+def _digits(column: str) -> int:
+    return COSTS[column][3] if column in COSTS else BY_KEY[column].digits
+
+
+def _shown(cells: Sequence[Cell]) -> list[dict[str, Any]]:
+    """Rows of the page: every value as "mean ± spread"."""
+    return [
+        {
+            "scene": cell.scene,
+            "style": cell.style,
+            "method": cell.method,
+            "seeds": len(cell.seeds),
+            "values": {
+                column: number(value.mean, _digits(column))
+                + ("" if value.spread is None else f" ± {number(value.spread, _digits(column))}")
+                for column, value in cell.values.items()
+            },
+        }
+        for cell in cells
+    ]
+
+
+def _methods(standings: Sequence[Standing]) -> dict[str, dict[str, Standing]]:
+    found: dict[str, dict[str, Standing]] = {}
+    for one in standings:
+        found.setdefault(one.method, {})[one.column] = one
+    return found
+
+
+def _rows(cells: Sequence[Cell]) -> list[Row]:
+    rows: list[Row] = []
+    for cell in cells:
+        row: Row = {"scene": cell.scene, "style": cell.style, "method": cell.method, "seeds": len(cell.seeds)}
+        for column in COLUMNS:
+            value = cell.values.get(column)
+            row |= {
+                column: value.mean if value else None,
+                f"{column}_spread": value.spread if value else None,
+                f"{column}_count": value.count if value else None,
+            }
+        rows.append(row)
+    return rows
+
+
+def _gaps(table: Table, known: Sequence[tuple[Run, Axes]], cells: Sequence[Cell]) -> list[Gap]:
+    """Fields that do not stand, scene by scene; columns that a cell lacks or has of some seeds only."""
+    there = {(at.scene, run.name) for run, at in known}
+    gaps = []
+    fields = [job for job in jobs_of(table).values() if job.kind == "field" and job.rule != "deform"]
+    for scene in table.scenes:
+        lost = [job.name for job in fields if job.scene == scene.name and (job.scene, job.name) not in there]
+        if lost:
+            gaps.append(Gap(f"{scene.name}: {len(lost)} fields", f"Not made: {', '.join(lost[:8])}"
+                            + (" ..." if len(lost) > 8 else "")))  # fmt: skip
+    for cell in cells:
+        short = [column for column in COLUMNS
+                 if column not in cell.values or cell.values[column].count < len(cell.seeds)]  # fmt: skip
+        if short:
+            why = "Not measured for every seed, over too few pixels, or by different protocols."
+            gaps.append(Gap(f"{cell.scene}, {cell.style}, {cell.method}: {', '.join(short)}", why))
+    return gaps
+
+
+def _sheet(
+    table: Table, runs: Sequence[Run], works: Sequence[WorkFolder], axes: Mapping[tuple[str, str], Axes]
+) -> tuple[list[SheetRow], list[Gap]]:
+    """One row per scene and style: the photo, the style image, and the first seed of every method, at one view."""
+    first = table.seeds[0]
+    stylized = {key for key, at in axes.items() if at.method not in ("", EDIT) and at.seed == first}
+    wanted = [run for run in runs if (run.work, run.name) in stylized]
+    found, gaps = contenders_of(wanted, fields_of_works(works))
+    blocks: dict[tuple[str, str], list[Contender]] = {}
+    for one in found:
+        at = axes[one.run.work, one.run.name]
+        blocks.setdefault((at.scene, at.style), []).append(one)
+    pictures: list[list[Picture]] = []
+    names = []
+    for (scene, style), members in list(blocks.items())[:MOST_ROWS]:
+        with suppress(StylerfError):
+            pictures.append(_pictures(scene, style, members, axes))
+            names.append(f"{scene}, {style}")
+    encoded = iter(encode([one for row in pictures for one in row], PICTURES_BYTES))
+    return [SheetRow(name, [next(encoded) for _ in row]) for name, row in zip(names, pictures, strict=True)], gaps
+
+
+def _pictures(
+    scene: str, style: str, members: Sequence[Contender], axes: Mapping[tuple[str, str], Axes]
+) -> list[Picture]:
+    shared = set.intersection(*({*one.views} for one in members))
+    view = min(shared)
+    first = members[0]
+    shown = first.picture(view)
+    photo = first.scene.photo(view, shown.shape[1], shown.shape[0])
+    found = [
+        Picture(photo.image, "photo", f"A photo of {scene}").small(),
+        Picture(first.style_image(), style, f"The style image {style}").small(),
+    ]
+    for one in members:
+        method = axes[one.run.work, one.run.name].method
+        found.append(Picture(one.picture(view), method, f"{scene} in the style {style} by {method}").small())
+    return found
+
+
+def _chart(standings: Sequence[Standing], fronts: Mapping[str, Sequence[str]], labels: Mapping[str, str]
+           ) -> Chart | None:  # fmt: skip
+    """Style against each other column, one mark per method; None without two methods that have both."""
+    at = {(one.method, one.column): one.relative for one in standings}
+    methods = list(dict.fromkeys(one.method for one in standings))
+    columns = [column for column in AGAINST if column in fronts and len(methods) > 1]
+    if not columns:
+        return None
+    with rc_context(SETTINGS):
+        drawing = Drawing(figsize=(3.4 * len(columns) + 0.4, 3.4), layout="constrained")
+        for place, column in enumerate(columns):
+            axes = drawing.add_subplot(1, len(columns), place + 1)
+            both = [one for one in methods if (one, STYLE) in at and (one, column) in at]
+            for one in both:
+                color = COLORS[methods.index(one) % len(COLORS)]
+                point = at[one, column], at[one, STYLE]
+                fill = color if one in fronts[column] else "none"
+                axes.plot(*point, "o", color=color, markerfacecolor=fill, markersize=7)
+                axes.annotate(one, point, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK)
+            axes.margins(x=0.3, y=0.2)
+            axes.set_title(labels[column].partition(" (")[0], fontsize=9.5)
+            end = labels[column].removesuffix(" is better)").split()[-1].strip("(")
+            axes.set_xlabel(f"relative to the mean of methods; {end} is better", fontsize=8)
+            if not place:
+                axes.set_ylabel("style distance, relative; lower is better", fontsize=8.5)
+            axes.grid()
+        words = "; ".join(f"{labels[column]}: {', '.join(fronts[column])}" for column in columns)
+        return finish(drawing, "methods", "Style against time, structure and consistency",
+                      f"Filled: on the Pareto front with style. {words}")  # fmt: skip
