@@ -64,8 +64,13 @@ def seen_at(
 
 
 def box_around(places: np.ndarray) -> tuple[float, ...]:
-    """Return two corners around points [n, 3], without a twentieth of them at either end of each axis."""
+    """Return two corners around points [n, 3], without a twentieth of them at either end of each axis.
+
+    A tenth of its longest side is added all around: what is seen is a surface, which alone would fill no cell.
+    """
     low, high = np.percentile(places, [5, 95], axis=0)
+    margin = max(float((high - low).max()), 1e-3) / 10
+    low, high = low - margin, high + margin
     return tuple(float(f"{value:.4g}") for value in (*low, *high))
 
 

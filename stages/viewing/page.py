@@ -32,16 +32,17 @@ class Page:
 
     def __init__(self, server: Any, desk: Desk) -> None:
         self.server, self.desk, self.gui = server, desk, server.gui
+        self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
         self.first_picture = threading.Event()
         server.gui.configure_theme(
-            control_layout="collapsible",
             control_width="large",
             show_logo=False,
             show_share_button=False,
             dark_mode=True,
         )
+        server.gui.main_panel.dock_right()
         server.gui.set_panel_label(f"stylerf {desk.library.work.root.resolve().name}")
         self._aim()
         self.status = self.gui.add_markdown("")
@@ -146,15 +147,23 @@ class Page:
 
         desk.painter.open(page, send)
 
+        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own.
+        opening, settled = self.pose_of(client), threading.Event()
+
         @client.camera.on_update
-        def moved(camera: Any = None) -> None:
+        def _(camera: Any) -> None:
             pose = self.pose_of(client)
-            if pose.sound():
+            if pose.sound() and (settled.is_set() or pose != opening):
+                settled.set()
                 desk.painter.move(page, pose)
 
+        def settle() -> None:
+            if not settled.is_set() and opening.sound():
+                settled.set()
+                desk.painter.move(page, self.pose_of(client))
+
         desk.refresh()
-        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own.
-        timer = threading.Timer(SETTLED_SECONDS, moved)
+        timer = threading.Timer(SETTLED_SECONDS, settle)
         timer.daemon = True
         timer.start()
 

@@ -12,6 +12,7 @@ def add(page: Any) -> None:
     """Add the panel's controls."""
     gui, desk, scene = page.gui, page.desk, page.server.scene
     mode = gui.add_dropdown("Pointer", MODES, initial_value="look")
+    page.controls["pointer"] = mode
     gui.add_markdown("*click*: what you click grows. *erase*: it does not belong. Shift and drag: a stroke or a box.")
     start = desk.history.now
     tolerance = gui.add_slider("Color tolerance", 0.0, 60.0, 1.0, start.tolerance)

@@ -19,7 +19,7 @@ SHARES = [0.1, 0.4, 0.2, 0.3]
 def furnished(folder: Path) -> WorkFolder:
     """Fill a work folder: scene `wall`, fields `plain` and `palette`."""
     work = WorkFolder(folder)
-    scene = made.make_scene(work, [0.0, 0.3], depth=False)
+    scene = made.make_scene(work, [0.0, 0.3], depth=False, split="train")
     space = SpaceWarp.box([-1, -1, 2], [1, 1, 4])
     color = PaletteColor.create(np.random.default_rng(0), PALETTE, 8, 40, 512, base=3)
     for name, stage, own in (("plain", "nerf_fit", vm_color(1)), ("palette", "decompose", color)):
