@@ -14,6 +14,7 @@ import numpy as np
 from schemas.errors import BadInput, UsageError
 from schemas.work_folder import valid_name
 from stages.configs.decompose import PaletteFieldConfig
+from stages.configs.export import ExportConfig
 from stages.configs.render import RenderConfig
 from stages.viewing.cameras import Pose, pixel_at
 from stages.viewing.commands import command, script_of
@@ -103,6 +104,11 @@ class Desk:
     def render_command(self) -> list[str]:
         """Return the command that renders the shown field along the saved path, or around the scene without one."""
         return command("render", self.library.work.root, RenderConfig(path="orbit"), of=self.field)
+
+    def splats_command(self) -> list[str]:
+        """Return the command that exports the shown field's splats for the page and for one HTML file."""
+        config = ExportConfig(kind="splats", formats="ply", units="scene", budget="60s", splats=100_000)
+        return command("export", self.library.work.root, config, of=self.field)
 
     # -- selecting -----------------------------------------------------------------------------------------------------
 

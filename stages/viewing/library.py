@@ -70,6 +70,17 @@ class Library:
             self._loaded.popitem(last=False)
         return self._loaded[key]
 
+    def splats(self, field: str) -> Path | None:
+        """Return the newest exported PLY of a field's splats in scene units; None without one."""
+        wanted = self.work.get("field", field).digest
+        for one in newest(self.work.artifacts("export")):
+            made_of = {ref.digest for ref in one.manifest.inputs if ref.kind == "field"}
+            files = [record.path for record in one.manifest.files if record.path.endswith(".ply")]
+            if wanted in made_of and one.manifest.config.get("kind") == "splats" and files:
+                if one.manifest.config.get("units") == "scene":
+                    return one.file(files[0])
+        return None
+
     def regions(self, field: str) -> list[str]:
         """Return the names of the regions selected in the space of a field."""
         fitting, _ = regions_fitting(self.work, self.work.get("field", field))

@@ -63,7 +63,8 @@ class Page:
         first = cameras[0]
         ahead = float((focus_point(cameras) - first.center) @ first.forward)
         away = ahead if ahead > 0 else 1.0
-        self.server.scene.set_up_direction(tuple(average_up(cameras).tolist()))
+        self.up = average_up(cameras)
+        self.server.scene.set_up_direction(tuple(self.up.tolist()))
         start = self.server.initial_camera
         start.position = first.center
         start.look_at = first.center + first.forward * away

@@ -22,6 +22,7 @@ def add(page: Any) -> None:
     view = gui.add_dropdown("Camera", views, initial_value=views[0])
     frusta = gui.add_checkbox("Cameras in the scene", False)
     picture = gui.add_button("Save picture")
+    html = gui.add_button("Save scene as HTML")
     shown = gui.add_markdown("")
 
     def tell() -> None:
@@ -45,6 +46,21 @@ def add(page: Any) -> None:
     plane.on_update(page.act(lambda event: desk.look(plane=plane.value)))
     overlay.on_update(page.act(lambda event: desk.look(overlay="" if overlay.value == NONE else overlay.value)))
     frusta.on_update(page.act(lambda event: page.show_frusta(frusta.value)))
+
+    def saved(event: Any) -> None:
+        from stages.viewing.splat_page import write_page
+
+        splats = desk.library.splats(desk.field)
+        if splats is None:
+            page.tell("exporting splats of the field first; when that is done, the HTML file is written")
+            desk.start(desk.splats_command(), lambda run: saved(event) if run.code == 0 else None)
+            return
+        target = page.fresh_file("pages", desk.field, ".html")
+        write_page(splats, target, page.server.initial_camera, page.up)
+        page.tell(f"saved {target}")
+        event.client.send_file_download(target.name, target.read_bytes())
+
+    html.on_click(page.act(saved))
 
     @view.on_update
     def _(event: Any) -> None:

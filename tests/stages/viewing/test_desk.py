@@ -81,7 +81,7 @@ def test_growing_goes_in_steps_and_back(desk):
 def test_a_box_holds_what_the_rectangle_shows(desk):
     low_x, low_y, low_z, high_x, high_y, high_z = desk.box(FRONT, (0.45, 0.45), (0.55, 0.55))
     # The front of the fog, at z = 2, seen from x = 0.05 with a tangent of 0.4 (0.53 across) to the picture's rim.
-    assert low_x < 0.0 < 0.1 < high_x and low_y < -0.05 < 0.05 < high_y and low_z < 2.05 < high_z
+    assert low_x < 0.0 and high_x > 0.1 and low_y < -0.05 and high_y > 0.05 and low_z < 2.05 < high_z
     assert -0.2 < low_x and high_x < 0.3 and 1.9 < low_z and high_z < 2.2
     assert desk.selected_cells > 0
     assert config_of(desk.select_command())[1].box == (low_x, low_y, low_z, high_x, high_y, high_z)
