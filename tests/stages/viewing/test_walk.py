@@ -186,6 +186,6 @@ def test_random_clicks_and_drags_leave_no_error_and_no_memory(walked):
     settled = sizes[len(sizes) // 3 :]
     third = len(settled) // 3
     growth = np.median(settled[-third:]) - np.median(settled[:third])
-    print(f"{len(sizes)} gestures, memory {sizes[0]:.0f} to {sizes[-1]:.0f} MB, {growth:+.1f} MB over the last two thirds")
+    print(f"{len(sizes)} gestures, {sizes[0]:.0f} to {sizes[-1]:.0f} MB, {growth:+.1f} MB in the last two thirds")
     assert growth < 60
     assert tab.browser.errors == []
