@@ -20,7 +20,7 @@ OWN_FOLDER = "view"  # of the work folder: paths, style images and scripts that 
 
 
 class Library:
-    """What a work folder holds. Artifacts are found anew each time, since other commands make them meanwhile."""
+    """What a work folder holds. Artifacts are listed each time, since other commands make them meanwhile."""
 
     def __init__(self, root: Path | str) -> None:
         """Open the folder.

@@ -60,5 +60,5 @@ class History:
         return self.now
 
     def clear(self) -> Selection:
-        """Begin anew; undo brings the old selection back."""
+        """Start over; undo brings the old selection back."""
         return self.change(**{name: getattr(Selection(), name) for name in Selection.__dataclass_fields__})

@@ -11,6 +11,11 @@ from stages.viewing.guard import Guard
 from stylerf.geometry.spherical_harmonics import C0
 
 MOST_SPLATS = 400_000  # of a page: 25 bytes each once it is packed
+# A page from a file has no origin that browsers start a worker's blob for; without blobs viser sends it as a data URL.
+WORKERS_FROM_DATA = (
+    "<script>{const plain=URL.createObjectURL;"
+    'URL.createObjectURL=one=>/javascript/.test(one.type)?"":plain.call(URL,one)}</script>'
+)
 OPAQUE_ENOUGH = 0.02  # fainter splats are left out
 
 
@@ -51,8 +56,10 @@ def write_page(splats: Path, target: Path, camera: Any, up: np.ndarray) -> Path:
         camera: the initial camera of the viewer's own page, which this one opens with.
         up: direction [3] that is up.
     """
+    import rich
     import viser
 
+    rich.get_console().quiet = True  # viser prints where it serves
     parts = gaussians(read_splat_ply(splats))
     with Guard().set_over_servers():
         server = viser.ViserServer("127.0.0.1", 0, verbose=False)
@@ -60,10 +67,12 @@ def write_page(splats: Path, target: Path, camera: Any, up: np.ndarray) -> Path:
         server.scene.set_up_direction(tuple(up.tolist()))
         for name in ("position", "look_at", "up", "fov"):
             setattr(server.initial_camera, name, getattr(camera, name))
-        server.scene.add_gaussian_splats("/scene", **parts)
+        server.scene.add_gaussian_splats(
+            "/scene", parts["centers"], parts["covariances"], parts["rgbs"], parts["opacities"]
+        )
         text = server.get_scene_serializer().as_html(dark_mode=True)
     finally:
         server.stop()
     make_folder(target.parent)
-    write_bytes(target, text.encode())
+    write_bytes(target, text.replace("<head>", "<head>" + WORKERS_FROM_DATA, 1).encode())
     return target

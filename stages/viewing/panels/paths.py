@@ -37,7 +37,7 @@ def add(page: Any) -> None:
             at = np.linspace(0, desk.keyframes.count - 1, min(desk.keyframes.count, 200)).round().astype(int)
             points = np.array([desk.keyframes.pose(int(frame))[:3, 3] for frame in at])
             segments = np.stack([points[:-1], points[1:]], 1)
-            drawn.append(page.server.scene.add_line_segments("/path", segments, (255, 160, 0), line_width=3.0))
+            drawn.append(page.server.scene.add_line_segments("/path", segments, (255, 160, 0), thickness=3.0, thickness_units="screen"))
         tell()
 
     def played(event: Any) -> None:
