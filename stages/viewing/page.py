@@ -17,7 +17,7 @@ from stylerf.geometry.camera_paths import average_up, focus_point
 
 MOST_FRUSTA = 60
 THUMBNAIL = 96  # pixels of its longer side
-SETTLED_SECONDS = 1.0  # after which a page has taken the camera that it was given
+SETTLED_SECONDS = 3.0  # after which a page has taken the camera that it was given
 JPEG_MOVING, JPEG_EXACT = 70, 92
 
 
@@ -141,6 +141,8 @@ class Page:
             self.tell("another page of this viewer is open; both show and change the same things")
 
         def send(picture: np.ndarray, exact: bool, stride: int) -> None:
+            if page not in self.server.get_clients():
+                return  # closed while this was painted
             quality = JPEG_EXACT if stride == 1 and exact else JPEG_MOVING
             client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
             client.flush()

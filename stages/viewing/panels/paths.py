@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+ORANGE = (255, 160, 0)
+
 
 def add(page: Any) -> None:
     """Add the panel's controls."""
@@ -37,7 +39,10 @@ def add(page: Any) -> None:
             at = np.linspace(0, desk.keyframes.count - 1, min(desk.keyframes.count, 200)).round().astype(int)
             points = np.array([desk.keyframes.pose(int(frame))[:3, 3] for frame in at])
             segments = np.stack([points[:-1], points[1:]], 1)
-            drawn.append(page.server.scene.add_line_segments("/path", segments, (255, 160, 0), thickness=3.0, thickness_units="screen"))
+            lines = page.server.scene.add_line_segments(
+                "/path", segments, ORANGE, thickness=3.0, thickness_units="screen"
+            )
+            drawn.append(lines)
         tell()
 
     def played(event: Any) -> None:
