@@ -4,6 +4,7 @@ Methods are called by threads of the page, one at a time (see `lock`).
 """
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # these import torch, which the first picture should not wait
 
 CLICK_PIXELS = 200_000.0  # of the camera that clicks are looked up in; its pixels are finer than any field
 BOX_RAYS = 24  # a side, through a rectangle that becomes a box
+WATCH_SECONDS = 3.0  # between looks at the checkpoints of a stylization
 EDIT_MARK = "edit "  # before the name of a region's palette in lists of what can be recolored
 
 
@@ -67,6 +69,7 @@ class Desk:
         self.keyframes = Keyframes()
         self.commands: list[list[str]] = []
         self.run: Run | None = None
+        self._half: Source | None = None  # of a stylization in progress
         self._growers: dict[str, Grower] = {}
         self._selected: np.ndarray | None = None
         self._regions: dict[str, np.ndarray] = {}
@@ -87,7 +90,7 @@ class Desk:
     def refresh(self) -> None:
         """Show what is to be shown now."""
         with self.lock:
-            left = self._recolored(self.library.source(self.field))
+            left = self._half or self._recolored(self.library.source(self.field))
             right = self.library.source(self.beside) if self.beside else None
             self.painter.show(Shown(left, right, self.wipe, self.plane, self._marked()))
 
@@ -324,6 +327,26 @@ class Desk:
     def stylize_command(self, wish: Wish) -> list[str]:
         """Return the command of a stylization of the shown field, or of a region."""
         return wish.command(self.library.work.root, self.field)
+
+    def watch(self, run: Run, name: str) -> None:
+        """Show a stylization while it runs, from its checkpoints, in a thread of its own."""
+        from stages.viewing.half_done import half_done
+
+        source = self.library.source(self.field)
+
+        def follow() -> None:
+            while run.code is None:
+                time.sleep(WATCH_SECONDS)
+                found = half_done(self.library.work, name, source)
+                with self.lock:
+                    if found is not None and run.code is None:
+                        self._half = found
+                        self.refresh()
+            with self.lock:
+                self._half = None
+                self.refresh()
+
+        threading.Thread(target=follow, name="watch", daemon=True).start()
 
     # -- paths ---------------------------------------------------------------------------------------------------------
 

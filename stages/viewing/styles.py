@@ -10,6 +10,7 @@ from stages.configs.stylize import CONFIGS
 from stages.viewing.commands import command
 
 METHODS = tuple(CONFIGS)
+CHECKPOINT_SECONDS = 5.0  # between pictures of a run in progress
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Wish:
             return command("stylize", work, learned, region=self.region, name=named)
         config = CONFIGS[self.method](
             method=self.method, style=self.style, stroke=self.stroke, style_weight=self.strength,
-            budget=f"{self.seconds}s",
+            budget=f"{self.seconds}s", checkpoint_every_seconds=CHECKPOINT_SECONDS,
         )  # fmt: skip
         made = command("stylize", work, config, of=field, name=named)
         return made if "--method" in made else [*made, "--method", self.method]

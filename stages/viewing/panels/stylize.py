@@ -66,10 +66,12 @@ def add(page: Any) -> None:
         draw()
         tell()
 
-    def started(event: Any) -> None:
+    def begun(event: Any) -> None:
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
-        desk.start(desk.stylize_command(wish(style)), finished)
+        started = desk.start(desk.stylize_command(wish(style)), finished)
+        if name.value and where.value == WHOLE:
+            desk.watch(started, name.value)
 
     def finished(done: Any) -> None:
         if done.code != 0:
@@ -85,6 +87,6 @@ def add(page: Any) -> None:
         one.on_update(page.act(lambda event: draw()))
     for one in (where, method, strength, stroke, budget, name):
         one.on_update(lambda event: tell())
-    run.on_click(page.act(started))
+    run.on_click(page.act(begun))
     stop.on_click(page.act(lambda event: desk.stop()))
     tell()
