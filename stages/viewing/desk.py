@@ -22,11 +22,12 @@ from stages.viewing.commands import command, script_of
 from stages.viewing.keyframes import Keyframes
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
-from stages.viewing.palette_changes import Changes
+from stages.viewing.palette_changes import Changes, learned_with
 from stages.viewing.runs import Run
 from stages.viewing.selection import History
 from stages.viewing.shown import PLANES, Shown, Source
 from stages.viewing.styles import Wish
+from stylerf.fields.blended_color import BlendedColor
 
 if TYPE_CHECKING:  # these import torch, which the first picture should not wait for
     from stages.viewing.growing import Grower
@@ -287,6 +288,8 @@ class Desk:
             region = self.library.region_of_edit(artifact)
             if region is None:
                 raise BadInput(f"the region of edit {artifact.name} is gone; select it again")
+            if isinstance(source.field.color, BlendedColor):
+                raise BadInput(f"field {source.name} is a blend, on which an edit cannot be previewed; show another field")
             changes = edit_changes(artifact, edit, config)
             field = edited_field(source.field, edit, self.library.region(region.name), changes)
             return replace(source, field=field)
@@ -308,11 +311,10 @@ class Desk:
         if self.palette.startswith(EDIT_MARK):
             artifact = self._palette_artifact()
             region = self.library.region_of_edit(artifact)
-            learned = ["--recolor"] if artifact.manifest.config.get("recolor") else []
-            style = artifact.manifest.config.get("style")
-            learned += ["--style", str(style)] if style else []
-            base = command("stylize", root, config, region=region.name if region else "", name=named)
-            return [*base, *learned]
+            if region is None:
+                raise UsageError(f"the region of edit {artifact.name} is gone; select it again")
+            learned = learned_with(artifact.manifest.config, config)
+            return command("stylize", root, learned, region=region.name, name=named)
         merged = PaletteFieldConfig(
             palette=config.palette, palette_weight=config.palette_weight, palette_bias=config.palette_bias
         )

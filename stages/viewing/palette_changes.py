@@ -1,8 +1,11 @@
 """What was changed of a palette on the page, as options of `stylerf stylize`."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
 
-from stages.configs.edit import PaletteConfig
+from stages.configs import options_of
+from stages.configs.edit import EditConfig, PaletteConfig, RegionConfig
 
 
 @dataclass(frozen=True)
@@ -20,3 +23,14 @@ class Changes:
             tuple(f"{index}={value:g}" for index, value in sorted(self.weights.items()) if value != 1),
             tuple(f"{index}={value:g}" for index, value in sorted(self.biases.items()) if value != 0),
         )
+
+
+def learned_with(made: Mapping[str, Any], changes: PaletteConfig) -> RegionConfig:
+    """Return the options under which an edit was learned, with other changes of its palette.
+
+    Args:
+        made: the config in the edit's manifest.
+    """
+    own = {item.name: made[item.name] for item in options_of(EditConfig) if item.name in made}
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
+    return RegionConfig(**given, **{item.name: getattr(changes, item.name) for item in fields(PaletteConfig)})

@@ -7,9 +7,11 @@ import pytest
 
 from schemas.errors import BadInput, UsageError
 from stages import recolor, region_select
+from stages.artifacts.edit import Edit, save_edit
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region
 from stages.configs.decompose import RecolorConfig
+from stages.configs.select import SelectConfig
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.viewing.cameras import Pose
@@ -18,11 +20,14 @@ from stages.viewing.desk import Desk
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
 from stages.viewing.styles import METHODS, Wish
+from stylerf.editing.palette_module import PaletteModule
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.rendering.view import render_view
 from stylerf_cli.main import HELP_ALL, parser_of
 from stylerf_cli.session import Options
 from stylerf_cli.verbs import VERBS
-from tests.stages.viewing.room import furnished
+from tests.stages import evaluation_fixture as made
+from tests.stages.viewing.room import PALETTE, SHARES, furnished
 
 FRONT = Pose((1.0, 0.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.76, 4 / 3)
 
@@ -41,10 +46,10 @@ def config_of(arguments: list[str]):
 @pytest.fixture
 def desk(tmp_path):
     library = Library(furnished(tmp_path / "work").root)
-    made = Desk(library, Painter(1, 2700.0, 12.0), 1)
-    made.look(field="plain")
-    yield made
-    made.close()
+    opened = Desk(library, Painter(1, 2700.0, 12.0), 1)
+    opened.look(field="plain")
+    yield opened
+    opened.close()
 
 
 def test_a_click_selects_and_its_command_makes_the_same_region(desk):
@@ -55,8 +60,8 @@ def test_a_click_selects_and_its_command_makes_the_same_region(desk):
     assert (args.of, args.name, config.at, config.tolerance) == ("plain", "thing", (seed,), 40.0)
     work = desk.library.work
     inputs = {"scene": work.get("scene", "wall"), "field": work.get("field", "plain")}
-    made, _ = execute(region_select.SPEC, region_select.run, work, "thing", inputs, config, Context(threads=1))
-    np.testing.assert_array_equal(load_region(made)[0].edit, desk._selected)
+    kept, _ = execute(region_select.SPEC, region_select.run, work, "thing", inputs, config, Context(threads=1))
+    np.testing.assert_array_equal(load_region(kept)[0].edit, desk._selected)
     desk.look(overlay="thing")
     assert desk.library.regions("plain") == ["thing"]
 
@@ -126,6 +131,38 @@ def test_a_recolored_picture_is_that_of_the_kept_field(desk):
     assert desk._recolored(desk.library.source("palette")) is not None and not desk.changes.config()
 
 
+def test_a_regions_palette_is_shown_on_the_region_alone_and_kept_with_its_options(desk):
+    work = desk.library.work
+    scene, field = work.get("scene", "wall"), work.get("field", "plain")
+    box = SelectConfig(box=(-1.0, -1.0, 2.0, 0.0, 1.0, 4.0), cells=32)
+    inputs = {"scene": scene, "field": field}
+    half, _ = execute(region_select.SPEC, region_select.run, work, "half", inputs, box, Context(threads=1))
+    space = np.float32([[0, 0, 0], [1, 1, 1]])
+    module = PaletteModule.create(np.random.default_rng(0), PALETTE, space)
+
+    def write(folder):
+        save_edit(folder, Edit(module, PaletteEdits()), SHARES, {})
+
+    learned = {"recolor": True, "colors": 6, "max_colors": 4}
+    made.commit(work, "edit", "half", "edit_learn", {**inputs, "region": half}, write, config=learned)
+    assert "edit half" in desk.palettes()
+    assert len(desk.open_palette("edit half")) == 4
+    desk.recolor(1, color="#ff00ff")
+    args, config = config_of(desk.recolor_command("pink"))
+    assert (args.region, args.name, config.recolor, config.colors, config.max_colors) == ("half", "pink", True, 6, 4)
+    assert config.palette == ("1=#ff00ff",)
+    camera, plain = FRONT.camera(1200), desk.library.source("plain").field
+    cells = {"half": load_region(half)[0].edit}
+    before, now = (
+        render_view(field, camera, threads=1, regions=cells)
+        for field in (plain, desk._recolored(desk.library.source("plain")).field)
+    )
+    inside = before.masks["half"] / np.maximum(before.alpha, 1e-6)
+    moved = np.abs(now.rgb - before.rgb).max(2)
+    assert moved[(inside > 0.99) & (before.alpha > 0.9)].min() > 0.005
+    np.testing.assert_allclose(moved[inside == 0], 0, atol=1e-6)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stylization_is_one_that_the_command_line_takes(desk, method):
     args, config = config_of(desk.stylize_command(Wish("a b.png", method, "", 2.0, 1.0, 30, "x")))
@@ -163,11 +200,11 @@ def test_a_saved_path_is_one_that_render_takes(desk):
 
 
 def test_commands_are_quoted_for_a_shell():
-    made = command("select", "my work", None, of="a b", name="")
-    assert as_text(made) == "stylerf select 'my work' --of 'a b'"
-    script = script_of([made])
+    arguments = command("select", "my work", None, of="a b", name="")
+    assert as_text(arguments) == "stylerf select 'my work' --of 'a b'"
+    script = script_of([arguments])
     assert script.startswith("#!/bin/sh\nset -e\n")
-    assert shlex.split(script.splitlines()[2]) == ["stylerf", *made]
+    assert shlex.split(script.splitlines()[2]) == ["stylerf", *arguments]
 
 
 def test_nothing_else_can_be_looked_at(desk):
