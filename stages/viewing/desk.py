@@ -95,6 +95,11 @@ class Desk:
             right = self.library.source(self.beside) if self.beside else None
             self.painter.show(Shown(left, right, self.wipe, self.plane, self._marked()))
 
+    @property
+    def plain(self) -> bool:
+        """Whether the field is shown as it is stored, so that its exported splats look alike."""
+        return not (self.beside or self.palette or self._half or self.plane != "color" or self._marked() is not None)
+
     def _marked(self) -> np.ndarray | None:
         if self._selected is not None:
             return self._selected
@@ -289,7 +294,7 @@ class Desk:
             if region is None:
                 raise BadInput(f"the region of edit {artifact.name} is gone; select it again")
             if isinstance(source.field.color, BlendedColor):
-                raise BadInput(f"field {source.name} is a blend, on which an edit cannot be previewed; show another field")
+                raise BadInput(f"an edit cannot be previewed on field {source.name}, a blend; show another field")
             changes = edit_changes(artifact, edit, config)
             field = edited_field(source.field, edit, self.library.region(region.name), changes)
             return replace(source, field=field)

@@ -31,6 +31,7 @@ def learned_with(made: Mapping[str, Any], changes: PaletteConfig) -> RegionConfi
     Args:
         made: the config in the edit's manifest.
     """
-    own = {item.name: made[item.name] for item in options_of(EditConfig) if item.name in made}
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in own.items()}
-    return RegionConfig(**given, **{item.name: getattr(changes, item.name) for item in fields(PaletteConfig)})
+    given: dict[str, Any] = {item.name: made[item.name] for item in options_of(EditConfig) if item.name in made}
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+    given |= {item.name: getattr(changes, item.name) for item in fields(PaletteConfig)}
+    return RegionConfig(**given)
