@@ -95,11 +95,6 @@ class Desk:
             right = self.library.source(self.beside) if self.beside else None
             self.painter.show(Shown(left, right, self.wipe, self.plane, self._marked()))
 
-    @property
-    def plain(self) -> bool:
-        """Whether the field is shown as it is stored, so that its exported splats look alike."""
-        return not (self.beside or self.palette or self._half or self.plane != "color" or self._marked() is not None)
-
     def _marked(self) -> np.ndarray | None:
         if self._selected is not None:
             return self._selected

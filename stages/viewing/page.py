@@ -35,8 +35,6 @@ class Page:
         self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
-        self._splats: Any = None  # of the shown field, where they were exported; the page draws them as it moves
-        self._splats_of = ""
         server.gui.configure_theme(
             control_width="large",
             show_logo=False,
@@ -133,24 +131,6 @@ class Page:
             self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(run.last)[:160]}`"
         for one in self.rest:
             one()
-        self.load_splats()
-
-    def load_splats(self) -> None:
-        """Give the page the splats of the shown field, if they were exported in scene units."""
-        path = self.desk.library.splats(self.desk.field)
-        if str(path) == self._splats_of:
-            return
-        from schemas.splat_ply import read_splat_ply
-        from stages.viewing.splat_page import gaussians
-
-        if self._splats is not None:
-            self._splats.remove()
-        self._splats, self._splats_of = None, str(path)
-        if path is not None:
-            parts = gaussians(read_splat_ply(path))
-            self._splats = self.server.scene.add_gaussian_splats(
-                "/splats", parts["centers"], parts["covariances"], parts["rgbs"], parts["opacities"], visible=False
-            )
 
     # -- pages that come and go ----------------------------------------------------------------------------------------
 
@@ -162,13 +142,6 @@ class Page:
         def send(picture: np.ndarray, exact: bool, stride: int) -> None:
             if page not in self.server.get_clients():
                 return  # closed while this was painted
-            if not exact and stride == 1 and self._splats is not None and desk.plain:
-                if not self._splats.visible:
-                    self._splats.visible = True
-                    client.scene.set_background_image(None)
-                return
-            if self._splats is not None and self._splats.visible:
-                self._splats.visible = False
             quality = JPEG_EXACT if stride == 1 and exact else JPEG_MOVING
             client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
             client.flush()

@@ -82,7 +82,6 @@ class Viewer:
             self.page: Any = Page(self._server, desk)
             desk._said = self.page.tell
             self._painter.start()
-            threading.Thread(target=self.page.act(lambda event: self.page.load_splats()), args=(None,)).start()
         except BaseException:
             self._lock.release()
             raise

@@ -40,7 +40,7 @@ def add(page: Any) -> None:
         tell()
 
     page.rest.append(listing)
-    field.on_update(page.act(lambda event: desk.look(field=field.value), page.changed))
+    field.on_update(page.act(lambda event: desk.look(field=field.value), listing))
     beside.on_update(page.act(lambda event: desk.look(beside="" if beside.value == NONE else beside.value)))
     wipe.on_update(page.act(lambda event: desk.look(wipe=float(wipe.value))))
     plane.on_update(page.act(lambda event: desk.look(plane=plane.value)))
