@@ -29,18 +29,19 @@ _TRIES = 10  # a lock file that is deleted each time it is taken
 class Lock:
     """The right to write one artifact. Freed by release() and when the process ends, however it ends."""
 
-    def __init__(self, path: Path, instead: str = "give another --name") -> None:
+    def __init__(self, path: Path, instead: str = "give another --name", use: str = "written") -> None:
         """Take the lock.
 
         Args:
             path: The lock file, created if missing.
             instead: What the user can do other than wait, for the message.
+            use: What the holder does with it, for the message: the artifact is being written, or the folder shown.
 
         Raises:
             OutOfResources: Another process holds the lock (the message names it), or the disk has no locks.
             WouldBeLost: Something other than a lock file has this name, such as a link. It is not written to.
         """
-        self.path, self._instead = path, instead
+        self.path, self._instead, self._use = path, instead, use
         self._folder: int | None = None
         make_folder(path.parent)
         for _ in range(_TRIES):
@@ -107,8 +108,9 @@ class Lock:
 
     def _held_by(self, holder: str) -> OutOfResources:
         name = self.path.name.removeprefix(".").removesuffix(".lock")
+        what = f"{self.path.parent.name} {name}" if self._use == "written" else str(self.path.parent)
         return OutOfResources(
-            f"{self.path.parent.name} {name} is being written by another process ({holder}); wait for it to end, or "
+            f"{what} is being {self._use} by another process ({holder}); wait for it to end, or "
             f"{self._instead}"
         )
 

@@ -129,13 +129,13 @@ def run(inputs: dict[str, Artifact], config: SelectConfig, partial: PartialArtif
     field, background = load_field(inputs["field"])
     others = {role: load_region(artifact) for role, artifact in inputs.items() if role.partition(".")[2]}
     with compiling_note(context.progress.say):
-        cells = _fixed_cells(config, others)
+        cells = cells_given(config, others)
         sight = Sight(scene, field, level_of(background), cells, threads, context.progress.say)
         solid = solid_cells(field, sight.cells, threads, config.solid)
         if not solid.any():
             raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
-        edit = _marked(sight, solid, config)
-        edit = _combined(edit, others, field, inputs)
+        edit = marked_cells(sight, solid, config)
+        edit = combined_cells(edit, others, field, inputs)
         share = float((edit & solid).sum() / solid.sum())
         _check(edit, solid, share, config)
         region = Region(edit, _around(sight, edit, solid, config))
@@ -151,7 +151,7 @@ def _around(sight: Sight, edit: np.ndarray, solid: np.ndarray, config: SelectCon
     return near & sight.seen.seen if near.any() else near
 
 
-def _fixed_cells(config: SelectConfig, others: dict) -> int:
+def cells_given(config: SelectConfig, others: dict) -> int:
     """Cells per side, as given or as in regions to combine with; 0: by pixel size."""
     sizes = {role.partition(".")[2]: region.cells for role, (region, _) in others.items()}
     if len(set(sizes.values())) > 1:
@@ -163,7 +163,7 @@ def _fixed_cells(config: SelectConfig, others: dict) -> int:
     return next(iter(sizes.values()), config.cells)
 
 
-def _marked(sight: Sight, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
+def marked_cells(sight: Sight, solid: np.ndarray, config: SelectConfig) -> np.ndarray:
     """What is marked and what grows from it, before combining with other regions."""
     edit = np.zeros_like(solid)
     space, cells = sight.field.space, sight.cells
@@ -291,7 +291,7 @@ def _between_depths(sight: Sight, text: str) -> np.ndarray:
     return padded(found, np.zeros_like(found))
 
 
-def _combined(edit: np.ndarray, others: dict, field: RadianceField, inputs: dict[str, Artifact]) -> np.ndarray:
+def combined_cells(edit: np.ndarray, others: dict, field: RadianceField, inputs: dict[str, Artifact]) -> np.ndarray:
     """Union, intersect and subtract other regions, in this order."""
     for role, (_, space) in others.items():
         if space != field.space:

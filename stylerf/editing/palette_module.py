@@ -174,11 +174,16 @@ class PaletteModule(PaletteEvaluator):
 
     @torch.no_grad()
     def mixture(self, x: np.ndarray, directions: np.ndarray, threads: int = 1) -> Mixture:
+        return self.mixture_of(x, harmonics(directions, DEGREE), threads)
+
+    @torch.no_grad()
+    def mixture_of(self, x: np.ndarray, basis: np.ndarray, threads: int = 1) -> Mixture:
+        """Do as mixture(), given the directions' spherical harmonics [n, bands] of DEGREE."""
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
-            basis = torch.from_numpy(harmonics(directions[part], DEGREE))
-            parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), threads), basis))
+            own = torch.from_numpy(np.ascontiguousarray(basis[part]))
+            parts.append(self.mix(values, self.encoding.forward(self.local(x[part]), threads), own))
         if not parts:
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))

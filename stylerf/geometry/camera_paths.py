@@ -103,11 +103,20 @@ def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.
 
 
 def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """Pass through all cameras, from neighbor to neighbor: Catmull-Rom for centers, slerp for rotations."""
+    """Pass through all cameras, from neighbor to neighbor."""
+    order = _tour(np.array([c.center for c in cameras]))
+    return spline_pose(np.array([cameras[i].world_from_camera for i in order]), share)
+
+
+def spline_pose(poses: np.ndarray, share: float) -> np.ndarray:
+    """Return the pose [4, 4] at `share` of the way through poses [n, 4, 4], in their order, each as far as the next.
+
+    Catmull-Rom for centers, slerp for rotations. share: 0 at the first, 1 at the last.
+    """
     from scipy.spatial.transform import Rotation, Slerp
 
-    order = _tour(np.array([c.center for c in cameras]))
-    poses = np.array([cameras[i].world_from_camera for i in order])
+    if not len(poses):
+        raise InvalidValue("a camera path needs a pose to pass through; there are none")
     if len(poses) == 1:
         return poses[0]
     at = share * (len(poses) - 1)

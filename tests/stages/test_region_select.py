@@ -53,8 +53,8 @@ def test_regions_of_other_sizes_are_refused_by_both_names(order):
 
     others = {"union.a": region(4), "subtract.b": region(6)}
     with pytest.raises(BadInput, match="a 4") as reported:
-        region_select._fixed_cells(SelectConfig(union=("a",)), {role: others[role] for role in order})
+        region_select.cells_given(SelectConfig(union=("a",)), {role: others[role] for role in order})
     assert "b 6" in str(reported.value)
-    assert region_select._fixed_cells(SelectConfig(union=("a",)), {"union.a": region(4)}) == 4
+    assert region_select.cells_given(SelectConfig(union=("a",)), {"union.a": region(4)}) == 4
     with pytest.raises(BadInput, match="--cells 16"):
-        region_select._fixed_cells(SelectConfig(union=("a",), cells=16), {"union.a": region(4)})
+        region_select.cells_given(SelectConfig(union=("a",), cells=16), {"union.a": region(4)})

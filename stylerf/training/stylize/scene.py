@@ -14,6 +14,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation, at_rest
+from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
@@ -36,6 +37,7 @@ from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
 from stylerf.training.stylize.settings import DesrfSettings, ImageStyleSettings, StyleSettings, StyleState
 
+COLOR, FINEST = "color", "finest"  # arrays of a checkpoint: the new color's values, cells of its finest level
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
 
 
@@ -378,7 +380,9 @@ class StyledScene(Generic[Settings_co]):
     def arrays(self) -> dict[str, np.ndarray]:
         """Arrays of a checkpoint."""
         self.collect()
-        arrays = {"color": self.field.color.values.copy()}
+        arrays = {COLOR: self.field.color.values.copy()}
+        if isinstance(self.field.color, HashColor):
+            arrays[FINEST] = np.array([self.field.color.finest])  # for whoever looks at the colors meanwhile
         arrays |= {k: v.copy() for k, v in moments_of({"adam": self.adam}).items()}
         if self.deformer is not None:
             arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
@@ -388,7 +392,7 @@ class StyledScene(Generic[Settings_co]):
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         """From arrays(); the state is set."""
-        self.field.color.values[:] = arrays["color"]
+        self.field.color.values[:] = arrays[COLOR]
         # After the values: on a GPU new_adam() copies them to the device.
         self.adam = self.new_adam()
         restore_moments({"adam": self.adam}, arrays)

@@ -17,12 +17,13 @@ FLAGS = (
 class Browser:
     """One tab; `send` a command, `errors` of the page since it was opened."""
 
-    def __init__(self, profile: Path) -> None:
+    def __init__(self, profile: Path, more: tuple[str, ...] = ()) -> None:
+        """more: flags of Chromium; those of a page with WebGL say how to draw it without a GPU."""
         to_read, self._write = os.pipe()
         self._read, to_write = os.pipe()
         # Chromium reads from file descriptor 3 and writes to 4.
         command = f'exec "$@" 3<&{to_read} 4>&{to_write}'
-        arguments = [CHROMIUM, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
+        arguments = [CHROMIUM, *FLAGS, *more, f"--user-data-dir={profile}", "about:blank"]
         self._process = subprocess.Popen(
             ["bash", "-c", command, "bash", *arguments], pass_fds=(to_read, to_write),
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -54,8 +55,16 @@ class Browser:
         """Load a file in a viewport of `width` pixels, with "light" or "dark" preferred."""
         self.send("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
         self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self._load(path.as_uri())
+
+    def go(self, url: str, width: int, height: int) -> None:
+        """Load an address in a viewport of this size."""
+        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self._load(url)
+
+    def _load(self, url: str) -> None:
         self.errors.clear()
-        self.send("Page.navigate", url=path.as_uri())
+        self.send("Page.navigate", url=url)
         while self._next().get("method") != "Page.loadEventFired":
             pass
 

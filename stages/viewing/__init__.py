@@ -1,0 +1,1 @@
+"""The browser viewer: what is shown and edited, its pictures, its runs, and the page."""

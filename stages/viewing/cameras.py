@@ -1,0 +1,68 @@
+"""Cameras of the page: from a pose and a vertical field of view to a pinhole camera of the wanted number of pixels."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from stylerf.geometry.cameras import Camera
+
+FEWEST_PIXELS = 32 * 24
+LONGEST_ASPECT = 8.0
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the page's camera is.
+
+    Attributes:
+        quaternion: w x y z of world_from_camera; x right, y down, z forward.
+        position: Scene units.
+        fov: Vertical field of view, radians.
+        aspect: Width over height.
+    """
+
+    quaternion: tuple[float, float, float, float]
+    position: tuple[float, float, float]
+    fov: float
+    aspect: float
+
+    @staticmethod
+    def of(camera: Camera, aspect: float) -> "Pose":
+        """Return the pose that sees at least what a camera sees, around its image's center."""
+        x, y, z, w = Rotation.from_matrix(camera.world_from_camera[:3, :3]).as_quat().tolist()
+        tangent = camera.height / 2 / camera.fy
+        across = camera.width / 2 / camera.fx
+        fov = 2 * math.atan(max(tangent, across / aspect))
+        px, py, pz = camera.center.tolist()
+        return Pose((w, x, y, z), (px, py, pz), fov, aspect)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """world_from_camera [4, 4]."""
+        w, x, y, z = self.quaternion
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
+        pose[:3, 3] = self.position
+        return pose
+
+    def sound(self) -> bool:
+        """Whether a page sent numbers that a camera can have."""
+        numbers = (*self.quaternion, *self.position, self.fov, self.aspect)
+        turned = float(np.linalg.norm(self.quaternion)) if np.isfinite(numbers).all() else 0.0
+        return 0.5 < turned < 2 and 0.01 < self.fov < 3.1 and 1 / LONGEST_ASPECT < self.aspect < LONGEST_ASPECT
+
+    def camera(self, pixels: float, name: str = "view") -> Camera:
+        """Return the camera of about this many pixels, at least FEWEST_PIXELS."""
+        height = max(1, round(math.sqrt(max(pixels, FEWEST_PIXELS) / self.aspect)))
+        width = max(1, round(height * self.aspect))
+        focal = height / 2 / math.tan(self.fov / 2)
+        return Camera(name, width, height, focal, focal, width / 2, height / 2, self.matrix)
+
+
+def pixel_at(camera: Camera, across: float, down: float) -> int:
+    """Return the row-major pixel at a place of the picture in 0..1 from the top left; outside counts as the rim."""
+    x = min(int(np.clip(across, 0, 1) * camera.width), camera.width - 1)
+    y = min(int(np.clip(down, 0, 1) * camera.height), camera.height - 1)
+    return y * camera.width + x

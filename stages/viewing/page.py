@@ -1,0 +1,212 @@
+"""The page: panels of the browser around a Desk. Everything here is viser's; what it does is the desk's."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from schemas.errors import StylerfError
+from stages.viewing.cameras import Pose
+from stages.viewing.commands import as_text
+from stages.viewing.desk import Desk
+from stages.viewing.panels import look, paths, recolor, select, session, stylize
+from stylerf.errors import InvalidValue
+from stylerf.geometry.camera_paths import average_up, focus_point
+
+MOST_FRUSTA = 60
+THUMBNAIL = 96  # pixels of its longer side
+SETTLED_SECONDS = 3.0  # after which a page has taken the camera that it was given
+JPEG_MOVING, JPEG_EXACT = 70, 92
+
+
+class Page:
+    """The page of one viewer.
+
+    Attributes:
+        desk: What it works on.
+        server: viser's.
+        gui: Where panels add their controls.
+    """
+
+    def __init__(self, server: Any, desk: Desk) -> None:
+        self.server, self.desk, self.gui = server, desk, server.gui
+        self.controls: dict[str, Any] = {}  # by name, for tests
+        self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
+        self._frusta: list[Any] = []
+        server.gui.configure_theme(
+            control_width="large",
+            show_logo=False,
+            show_share_button=False,
+            dark_mode=True,
+        )
+        server.gui.main_panel.dock_right()
+        server.gui.set_panel_label(f"stylerf {desk.library.work.root.resolve().name}")
+        self._aim()
+        self.status = self.gui.add_markdown("")
+        tabs = self.gui.add_tab_group()
+        for title, panel in (
+            ("Look", look), ("Select", select), ("Recolor", recolor),
+            ("Stylize", stylize), ("Paths", paths), ("Session", session),
+        ):  # fmt: skip
+            with tabs.add_tab(title):
+                panel.add(self)
+        server.on_client_connect(self._opened)
+        server.on_client_disconnect(lambda client: desk.painter.close(client.client_id))
+
+    def _aim(self) -> None:
+        """Set the camera that a page opens with: the first training view, turning around what the cameras look at."""
+        scene = self.desk.library.scene
+        cameras = [scene.cameras[i] for i in scene.splits["train"]] or scene.cameras
+        first = cameras[0]
+        ahead = float((focus_point(cameras) - first.center) @ first.forward)
+        away = ahead if ahead > 0 else 1.0
+        self.up = average_up(cameras)
+        self.server.scene.set_up_direction(tuple(self.up.tolist()))
+        start = self.server.initial_camera
+        start.position = first.center
+        start.look_at = first.center + first.forward * away
+        start.up = -first.world_from_camera[:3, 1]
+        start.fov = 2 * float(np.arctan(first.height / 2 / first.fy))
+        self.away = away
+
+    # -- for the panels ------------------------------------------------------------------------------------------------
+
+    def act(
+        self, action: Callable[..., object], then: Callable[[], object] = lambda: None
+    ) -> Callable[[Any], None]:
+        """Return a callback that does `action` with the event, `then` whatever comes of it, and tells of errors."""
+
+        def do(event: Any) -> None:
+            try:
+                action(event)
+            except (StylerfError, InvalidValue, ValueError) as error:
+                self.tell(str(error), failed=True)
+            finally:
+                then()
+
+        return do
+
+    def tell(self, text: str, failed: bool = False) -> None:
+        """Show a note on every page."""
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                "Not possible" if failed else "Note", text, auto_close_seconds=8.0, color="red" if failed else "blue"
+            )
+
+    def pose_of(self, client: Any) -> Pose:
+        """Return where a page's camera is."""
+        camera = client.camera
+        (w, x, y, z), (px, py, pz) = camera.wxyz.tolist(), camera.position.tolist()
+        return Pose((w, x, y, z), (px, py, pz), float(camera.fov), float(camera.aspect))
+
+    def go_to(self, client: Any, pose: np.ndarray, fov: float | None = None) -> None:
+        """Move a page's camera to world_from_camera [4, 4]."""
+        from scipy.spatial.transform import Rotation
+
+        x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
+        with client.atomic():
+            client.camera.up_direction = -pose[:3, 1]
+            client.camera.wxyz = np.array([w, x, y, z])
+            client.camera.position = pose[:3, 3]
+            client.camera.look_at = pose[:3, 3] + pose[:3, 2] * self.away
+            if fov is not None:
+                client.camera.fov = fov
+
+    def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
+        """Show the command of an action, or why there is none."""
+        try:
+            handle.content = f"```sh\n{as_text(make())}\n```"
+        except (StylerfError, ValueError) as error:
+            handle.content = f"*{_plain(str(error))}*"
+
+    def changed(self) -> None:
+        """Bring lists and progress up to date."""
+        run = self.desk.run
+        if run is None:
+            self.status.content = ""
+        else:
+            state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
+            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(run.last)[:160]}`"
+        for one in self.rest:
+            one()
+
+    # -- pages that come and go ----------------------------------------------------------------------------------------
+
+    def _opened(self, client: Any) -> None:
+        desk, page = self.desk, client.client_id
+        if len(self.server.get_clients()) > 1:
+            self.tell("another page of this viewer is open; both show and change the same things")
+
+        def send(picture: np.ndarray, exact: bool, stride: int) -> None:
+            if page not in self.server.get_clients():
+                return  # closed while this was painted
+            quality = JPEG_EXACT if stride == 1 and exact else JPEG_MOVING
+            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
+            client.flush()
+
+        desk.painter.open(page, send)
+
+        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own.
+        opening, settled = self.pose_of(client), threading.Event()
+
+        @client.camera.on_update
+        def _(camera: Any) -> None:
+            pose = self.pose_of(client)
+            if pose.sound() and (settled.is_set() or pose != opening):
+                settled.set()
+                desk.painter.move(page, pose)
+
+        def settle() -> None:
+            if not settled.is_set() and opening.sound():
+                settled.set()
+                desk.painter.move(page, self.pose_of(client))
+
+        desk.refresh()
+        timer = threading.Timer(SETTLED_SECONDS, settle)
+        timer.daemon = True
+        timer.start()
+
+    def show_frusta(self, visible: bool) -> None:
+        """Show or hide the scene's cameras with their photos; a click on one goes there."""
+        if visible and not self._frusta:
+            self._add_frusta()
+        for one in self._frusta:
+            one.visible = visible
+
+    def _add_frusta(self) -> None:
+        from scipy.spatial.transform import Rotation
+
+        scene = self.desk.library.scene
+        chosen = np.unique(np.linspace(0, len(scene.cameras) - 1, min(len(scene.cameras), MOST_FRUSTA)).round())
+        size = 0.05 * self.away
+        for index in map(int, chosen):
+            camera = scene.cameras[index]
+            stride = max(1, max(camera.width, camera.height) // THUMBNAIL)
+            photo = (scene.images(index)[::stride, ::stride, :3] * 255 + 0.5).astype(np.uint8)
+            x, y, z, w = Rotation.from_matrix(camera.world_from_camera[:3, :3]).as_quat()
+            frustum = self.server.scene.add_camera_frustum(
+                f"/cameras/{index}",
+                fov=2 * float(np.arctan(camera.height / 2 / camera.fy)),
+                aspect=camera.width / camera.height,
+                scale=size,
+                image=photo,
+                wxyz=(w, x, y, z),
+                position=tuple(camera.center),
+            )
+            frustum.on_click(lambda event, pose=camera.world_from_camera: self.go_to(event.client, pose))
+            self._frusta.append(frustum)
+
+    def fresh_file(self, folder: str, stem: str, suffix: str) -> Path:
+        """Return a path in the viewer's own folder that does not exist yet."""
+        place = self.desk.library.own / folder
+        number = 1
+        while (place / f"{stem}-{number}{suffix}").exists():
+            number += 1
+        return place / f"{stem}-{number}{suffix}"
+
+
+def _plain(text: str) -> str:
+    """Return text without what Markdown would read as its own."""
+    return "".join(" " if one in "`*_<>[]\n\\" else one for one in text)

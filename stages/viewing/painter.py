@@ -1,0 +1,229 @@
+"""Paints pictures in a thread: small ones while the camera moves, exact ones once it rests.
+
+The thread serves one page after another. A new pose or another thing to show ends what is being painted.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stages.viewing.cameras import Pose
+from stages.viewing.shown import Shown, picture_of
+from stylerf.fields.marching import ScratchArena
+from stylerf.geometry.cameras import Camera
+from stylerf.rendering.interlaced import (
+    coarsest_within,
+    in_batches,
+    interlaced,
+    render_pixels,
+    spread_out,
+    stays_inside,
+)
+
+REST_SECONDS = 0.12  # without a new pose, after which the camera rests
+FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
+RAYS_AT_ONCE = 4096  # between looks at whether the picture is still wanted
+FIRST_RATE = 20_000.0  # rays per second, until measured
+MOVING_TRANSMITTANCE = 1e-2  # where rays end while the camera moves; exact pictures use the engine's own
+FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
+
+
+@dataclass(eq=False)
+class Wanted:
+    """What one page wants to see.
+
+    Attributes:
+        send: Receives pictures [h, w, 3] uint8, whether exact, and the stride of those that are not.
+        pose, shown: None until known.
+        changed: When either changed, on the painter's clock.
+        painted: What was painted last, as (version, 0 while moving, 1 when exact).
+    """
+
+    send: Callable[[np.ndarray, bool, int], None]
+    pose: Pose | None = None
+    shown: Shown | None = None
+    changed: float = 0.0
+    version: int = 0
+    painted: tuple[int, int] = (-1, 0)
+    exact: np.ndarray | None = field(default=None, repr=False)
+
+
+class Painter:
+    """Paints what pages want; see the module.
+
+    Args:
+        threads: CPU threads of the renderer.
+        exact_pixels: of an exact picture.
+        fps: pictures per second while the camera moves.
+        clock: seconds; tests replace it.
+        failed: receives an error of the thread, which goes on.
+    """
+
+    def __init__(
+        self,
+        threads: int,
+        exact_pixels: float,
+        fps: float,
+        clock: Callable[[], float] = time.monotonic,
+        failed: Callable[[Exception], None] = lambda error: None,
+    ) -> None:
+        self._threads, self._exact_pixels, self._fps, self._clock = threads, exact_pixels, fps, clock
+        self._failed = failed
+        self._pages: dict[int, Wanted] = {}
+        self._ready = threading.Condition()
+        self._ended = False
+        self._arena = ScratchArena()
+        self.rate = FIRST_RATE
+        self._thread = threading.Thread(target=self._work, name="painter", daemon=True)
+
+    def start(self) -> None:
+        """Begin to paint."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread after its present batch of rays."""
+        with self._ready:
+            self._ended = True
+            self._ready.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(10)
+
+    def open(self, page: int, send: Callable[[np.ndarray, bool, int], None]) -> None:
+        """Take up a page."""
+        with self._ready:
+            self._pages[page] = Wanted(send)
+
+    def close(self, page: int) -> None:
+        """Forget a page."""
+        with self._ready:
+            self._pages.pop(page, None)
+
+    def move(self, page: int, pose: Pose) -> None:
+        """Take note of where a page's camera is."""
+        with self._ready:
+            wanted = self._pages.get(page)
+            if wanted is not None and wanted.pose != pose:
+                wanted.pose = pose
+                self._touch(wanted)
+
+    def show(self, shown: Shown | None) -> None:
+        """Show something else, on every page; None: nothing."""
+        with self._ready:
+            for wanted in self._pages.values():
+                if wanted.shown is not shown:
+                    wanted.shown = shown
+                    self._touch(wanted)
+
+    def pose(self, page: int) -> Pose | None:
+        """Return where a page's camera is, None if it has not said."""
+        with self._ready:
+            return self._pages[page].pose if page in self._pages else None
+
+    def exact(self, page: int) -> np.ndarray | None:
+        """Return the exact picture of what the page shows now; None if it is not finished."""
+        with self._ready:
+            wanted = self._pages.get(page)
+            return wanted.exact if wanted is not None and wanted.painted == (wanted.version, 1) else None
+
+    def _touch(self, wanted: Wanted) -> None:
+        wanted.version += 1
+        wanted.changed = self._clock()
+        wanted.exact = None
+        self._ready.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._ready:
+                if self._ended:
+                    return
+                chosen = self._choose()
+                if chosen is None:
+                    self._ready.wait(self._pause())
+                    continue
+                wanted, exact = chosen
+                version, pose, shown = wanted.version, wanted.pose, wanted.shown
+            try:
+                assert pose is not None and shown is not None
+                if exact:
+                    self._paint_exact(wanted, version, pose, shown)
+                else:
+                    self._paint_moving(wanted, version, pose, shown)
+            except Exception as error:  # a page that has gone, a field that cannot be rendered
+                self._failed(error)
+                with self._ready:
+                    wanted.painted = (version, 1)
+
+    def _choose(self) -> tuple[Wanted, bool] | None:
+        """Return the page to paint for, and whether exactly; None if all are painted or still moving."""
+        now = self._clock()
+        open_ones = [one for one in self._pages.values() if one.pose is not None and one.shown is not None]
+        for wanted in sorted(open_ones, key=lambda one: -one.changed):
+            if wanted.painted[0] != wanted.version:
+                return wanted, False
+            if wanted.painted == (wanted.version, 0) and now - wanted.changed >= REST_SECONDS:
+                return wanted, True
+        return None
+
+    def _pause(self) -> float | None:
+        """Return how long until a camera rests, None if none moves."""
+        moving = [one.changed for one in self._pages.values() if one.painted == (one.version, 0)]
+        return max(0.005, min(moving) + REST_SECONDS - self._clock()) if moving else None
+
+    def _paint_moving(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
+        camera = pose.camera(min(self.rate / self._fps * FEWER, self._exact_pixels))
+        pixels = np.arange(camera.width * camera.height)
+        out = self._render(camera, shown, pixels, MOVING_TRANSMITTANCE).reshape(camera.height, camera.width, 6)
+        wanted.send(picture_of(shown, camera, out), False, 1)
+        with self._ready:
+            wanted.painted = (version, 0)
+
+    def _paint_exact(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
+        camera = pose.camera(self._exact_pixels)
+        count = camera.width * camera.height
+        out = np.zeros((count, 6), np.float32)
+
+        def stopped() -> bool:
+            return wanted.version != version or self._ended
+
+        for stride, pixels in interlaced(
+            camera.width, camera.height, coarsest_within(count, self.rate * FIRST_PASS_SECONDS)
+        ):
+            for batch in in_batches(pixels, RAYS_AT_ONCE, stopped):
+                out[batch] = self._render(camera, shown, batch)
+            if stopped():
+                return
+            grid = spread_out(out.reshape(camera.height, camera.width, 6), stride)
+            picture = picture_of(shown, camera, grid)
+            with self._ready:
+                if stopped():
+                    return
+                if stride == 1:
+                    wanted.painted, wanted.exact = (version, 1), picture
+            wanted.send(picture, stride == 1, stride)
+
+    def _render(
+        self, camera: Camera, shown: Shown, pixels: np.ndarray, min_transmittance: float = 1e-3
+    ) -> np.ndarray:
+        """Render pixels [n] of either side of the wipe: [n, 6]."""
+        began = time.perf_counter()
+        out = np.empty((len(pixels), 6), np.float32)
+        right = pixels % camera.width >= shown.boundary(camera.width)
+        marched = int(stays_inside(shown.left.field.space, camera.rays(pixels)[1]).sum())
+        for source, which in ((shown.left, ~right), (shown.right, right)):
+            if source is not None and which.any():
+                out[which] = render_pixels(
+                    source.field,
+                    camera,
+                    pixels[which],
+                    threads=self._threads,
+                    min_transmittance=min_transmittance,
+                    marked=shown.marked,
+                    arena=self._arena,
+                )
+        seconds = max(time.perf_counter() - began, 1e-6)
+        if marched > len(pixels) // 4:  # rays beside a frustum cost nothing
+            self.rate = 0.7 * self.rate + 0.3 * marched / seconds
+        return out

@@ -1,0 +1,1 @@
+"""Panels of the page, a module each, with `add(page)`."""

@@ -1,0 +1,63 @@
+"""Recolor: the colors of a palette with their shares; color, weight and bias of each; kept as a field or an edit."""
+
+from typing import Any
+
+NONE = "(none)"
+
+
+def add(page: Any) -> None:
+    """Add the panel's controls."""
+    gui, desk = page.gui, page.desk
+    palette = gui.add_dropdown("Palette", [NONE, *desk.palettes()], initial_value=NONE)
+    learn = gui.add_button("Learn a palette of the scene")
+    place = gui.add_folder("Colors")
+    reset = gui.add_button("Reset")
+    name = gui.add_text("Name", "")
+    keep = gui.add_button("Keep")
+    shown = gui.add_markdown("")
+    controls: list[Any] = []
+
+    def tell() -> None:
+        page.show_command(shown, lambda: desk.recolor_command(name.value))
+
+    def listing() -> None:
+        now = [NONE, *desk.palettes()]
+        if tuple(palette.options) != tuple(now):
+            palette.options = now
+        tell()
+
+    def opened(event: Any) -> None:
+        for one in controls:
+            one.remove()
+        controls.clear()
+        for swatch in desk.open_palette("" if palette.value == NONE else palette.value):
+            _color(swatch)
+        page.changed()
+
+    def _color(swatch: Any) -> None:
+        index, hint = swatch.index, f"{swatch.name}, {swatch.share:.0%} of what is shown"
+        with place:
+            color = gui.add_rgb(f"{index}: {swatch.share:.0%}", _numbers(swatch.now), hint=hint)
+            weight = gui.add_slider("weight", 0.0, 4.0, 0.05, 1.0)
+            bias = gui.add_slider("bias", -0.5, 0.5, 0.02, 0.0)
+        controls.extend((color, weight, bias))
+        color.on_update(page.act(lambda event: desk.recolor(index, color=_text(color.value)), tell))
+        weight.on_update(page.act(lambda event: desk.recolor(index, weight=float(weight.value)), tell))
+        bias.on_update(page.act(lambda event: desk.recolor(index, bias=float(bias.value)), tell))
+
+    page.rest.append(listing)
+    palette.on_update(page.act(opened))
+    reset.on_click(page.act(opened))
+    name.on_update(lambda event: tell())
+    learn.on_click(page.act(lambda event: desk.start(desk.decompose_command())))
+    keep.on_click(page.act(lambda event: desk.start(desk.recolor_command(name.value))))
+    tell()
+
+
+def _numbers(text: str) -> tuple[int, int, int]:
+    red, green, blue = (int(text[at : at + 2], 16) for at in (1, 3, 5))
+    return red, green, blue
+
+
+def _text(color: tuple[int, int, int]) -> str:
+    return "#" + "".join(f"{int(value):02x}" for value in color)

@@ -1,0 +1,84 @@
+"""Select: seeds by clicks and strokes, a box, growing, other regions; kept as a region."""
+
+from typing import Any
+
+from stages.viewing.selection import MOST_STEPS
+
+MODES = ("look", "click", "erase", "box")
+HOW = ("union", "subtract", "intersect")
+
+
+def add(page: Any) -> None:
+    """Add the panel's controls."""
+    gui, desk, scene = page.gui, page.desk, page.server.scene
+    mode = gui.add_dropdown("Pointer", MODES, initial_value="look")
+    page.controls["pointer"] = mode
+    gui.add_markdown("*click*: what you click grows. *erase*: it does not belong. Shift and drag: a stroke or a box.")
+    start = desk.history.now
+    tolerance = gui.add_slider("Color tolerance", 0.0, 60.0, 1.0, start.tolerance)
+    steps = gui.add_slider("Growing steps", 0, MOST_STEPS, 1, start.steps)
+    cells = gui.add_number("Cells a step", start.iterations, min=1, max=10_000_000, step=1000)
+    with gui.add_folder("With other regions", expand_by_default=False):
+        other = gui.add_dropdown("Region", ["(none)", *desk.library.regions(desk.field)])
+        how = gui.add_dropdown("Do", HOW)
+        combine = gui.add_button("Combine")
+    undo = gui.add_button("Undo")
+    clear = gui.add_button("Clear")
+    name = gui.add_text("Name", "region")
+    keep = gui.add_button("Keep region")
+    counted = gui.add_markdown("")
+    shown = gui.add_markdown("")
+
+    def tell() -> None:
+        counted.content = f"{desk.selected_cells} cells selected" if desk.history.now else "nothing is selected"
+        page.show_command(shown, lambda: desk.select_command(name.value))
+
+    def again(action: Any) -> Any:
+        return page.act(action, tell)
+
+    def listing() -> None:
+        regions = ["(none)", *desk.library.regions(desk.field)]
+        if tuple(other.options) != tuple(regions):
+            other.options = regions
+        now = desk.history.now
+        if steps.value != now.steps:
+            steps.value = now.steps
+        tell()
+
+    def clicked(event: Any) -> None:
+        if mode.value in ("click", "erase"):
+            desk.click(page.pose_of(event.client), *event.screen_pos, avoid=mode.value == "erase")
+
+    def dragged(event: Any) -> None:
+        pose = page.pose_of(event.client)
+        if mode.value == "box":
+            desk.box(pose, event.screen_min, event.screen_max)
+        elif mode.value in ("click", "erase"):
+            desk.scribble(pose, _stroke(event.screen_min, event.screen_max), avoid=mode.value == "erase")
+
+    def combined(event: Any) -> None:
+        if other.value != "(none)":
+            desk.reselect(**{how.value: (*getattr(desk.history.now, how.value), other.value)})
+
+    def undone(event: Any) -> None:
+        desk.undo()
+        listing()
+
+    page.rest.append(listing)
+    scene.on_click()(again(clicked))
+    scene.on_rect_select(modifier="shift")(again(dragged))
+    tolerance.on_update(again(lambda event: desk.reselect(tolerance=float(tolerance.value))))
+    steps.on_update(again(lambda event: desk.reselect(steps=int(steps.value))))
+    cells.on_update(again(lambda event: desk.reselect(iterations=int(cells.value))))
+    combine.on_click(again(combined))
+    undo.on_click(again(undone))
+    clear.on_click(again(lambda event: desk.clear_selection()))
+    name.on_update(lambda event: tell())
+    keep.on_click(again(lambda event: desk.start(desk.select_command(name.value))))
+    tell()
+
+
+def _stroke(low: tuple[float, float], high: tuple[float, float], count: int = 5) -> list[tuple[float, float]]:
+    """Return places spread over a rectangle, each in 0..1: `count` a side."""
+    at = [(i + 0.5) / count for i in range(count)]
+    return [(low[0] + (high[0] - low[0]) * x, low[1] + (high[1] - low[1]) * y) for y in at for x in at]

@@ -1,0 +1,92 @@
+"""Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
+
+from typing import Any
+
+import numpy as np
+
+from stages.viewing.style_uploads import cropped, kept, read_upload
+from stages.viewing.styles import METHODS, Wish
+
+SHOWN = 320  # pixels of the painting's longer side on the page
+WHOLE = "(whole scene)"
+
+
+def add(page: Any) -> None:
+    """Add the panel's controls."""
+    gui, desk = page.gui, page.desk
+    state: dict[str, Any] = {"image": None}
+    upload = gui.add_upload_button("Choose a painting", mime_type="image/*")
+    painting = gui.add_image(np.full((8, 8, 3), 40, np.uint8), label="No painting yet")
+    zoom = gui.add_slider("Zoom", 1.0, 8.0, 0.1, 1.0)
+    across = gui.add_slider("Across", 0.0, 1.0, 0.01, 0.5)
+    down = gui.add_slider("Down", 0.0, 1.0, 0.01, 0.5)
+    where = gui.add_dropdown("Where", [WHOLE, *desk.library.regions(desk.field)])
+    method = gui.add_dropdown("Method", METHODS)
+    strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
+    stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
+    budget = gui.add_number("Seconds", 60, min=5, max=86_400, step=5)
+    name = gui.add_text("Name", "stylized")
+    run = gui.add_button("Run")
+    stop = gui.add_button("Stop")
+    shown = gui.add_markdown("")
+
+    def part() -> np.ndarray | None:
+        image = state["image"]
+        return None if image is None else cropped(image, across.value, down.value, 1 / zoom.value)
+
+    def draw() -> None:
+        found = part()
+        if found is not None:
+            stride = max(1, max(found.shape[:2]) // SHOWN)
+            painting.image = (found[::stride, ::stride, :3] * 255 + 0.5).astype(np.uint8)
+            painting.label = f"{found.shape[1]}x{found.shape[0]} pixels of the painting"
+
+    def wish(style: str) -> Wish:
+        return Wish(
+            style,
+            method.value,
+            "" if where.value == WHOLE else where.value,
+            float(strength.value),
+            float(stroke.value),
+            int(budget.value),
+            name.value,
+        )
+
+    def tell() -> None:
+        page.show_command(shown, lambda: desk.stylize_command(wish("PAINTING.png" if part() is not None else "")))
+
+    def listing() -> None:
+        regions = [WHOLE, *desk.library.regions(desk.field)]
+        if tuple(where.options) != tuple(regions):
+            where.options = regions
+        tell()
+
+    def taken(event: Any) -> None:
+        state["image"] = read_upload(upload.value.name, upload.value.content)
+        draw()
+        tell()
+
+    def begun(event: Any) -> None:
+        found = part()
+        style = "" if found is None else str(kept(found, desk.library.own / "styles"))
+        started = desk.start(desk.stylize_command(wish(style)), finished)
+        if name.value and where.value == WHOLE:
+            desk.watch(started, name.value)
+
+    def finished(done: Any) -> None:
+        if done.code != 0:
+            return
+        newest = desk.library.fields()[0]
+        if newest != desk.field:
+            desk.look(field=newest)
+        page.changed()
+
+    page.rest.append(listing)
+    upload.on_upload(page.act(taken))
+    for one in (zoom, across, down):
+        one.on_update(page.act(lambda event: draw()))
+    for one in (where, method, strength, stroke, budget, name):
+        one.on_update(lambda event: tell())
+    run.on_click(page.act(begun))
+    stop.on_click(page.act(lambda event: desk.stop()))
+    tell()

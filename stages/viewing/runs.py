@@ -1,0 +1,83 @@
+"""Runs of other commands: each in a process of its own, which outlives the page and resumes when it is run again."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+
+PROGRAM = (sys.executable, "-m", "stylerf_cli.main")
+KEPT_LINES = 200
+ENDING_SECONDS = 30.0  # that a stopped run has for its last checkpoint
+
+
+class Run:
+    """A command in progress.
+
+    Attributes:
+        arguments: Of `stylerf`, without the common ones.
+        lines: What it has said, the latest last.
+        code: Its exit code, None while it runs.
+    """
+
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        common: Sequence[str],
+        said: Callable[["Run"], None],
+        ended: Callable[["Run"], None],
+        program: Sequence[str] = PROGRAM,
+    ) -> None:
+        """Start it.
+
+        Args:
+            common: further arguments, such as --threads 2.
+            said: called after each line.
+            ended: called once, after the last.
+        """
+        self.arguments = list(arguments)
+        self.code: int | None = None
+        self.lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self.stopped = False
+        self._said, self._ended = said, ended
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+        self._process = subprocess.Popen(
+            [*program, *arguments, *common],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            env=environment,
+            start_new_session=True,  # Ctrl-C on the viewer's terminal reaches it through stop(), once
+        )
+        self._thread = threading.Thread(target=self._follow, name="run", daemon=True)
+        self._thread.start()
+
+    @property
+    def last(self) -> str:
+        """The last line it has said, empty before the first."""
+        return self.lines[-1] if self.lines else ""
+
+    def stop(self) -> None:
+        """Interrupt it as Ctrl-C does: it saves a checkpoint and ends, and the same command resumes it."""
+        if self.code is None and not self.stopped:
+            self.stopped = True
+            self._process.send_signal(signal.SIGINT)
+
+    def wait(self, seconds: float = ENDING_SECONDS) -> int | None:
+        """Wait for its end; return the exit code, None if it has not ended."""
+        self._thread.join(seconds)
+        return self.code
+
+    def _follow(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            if line := line.strip():
+                self.lines.append(line)
+                self._said(self)
+        self._process.stdout.close()
+        self.code = self._process.wait()
+        self._ended(self)

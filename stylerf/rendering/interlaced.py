@@ -1,0 +1,105 @@
+"""Views that sharpen while they are rendered: rays on a coarse grid first, the others between them later, each once."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from stylerf.fields.marching import ScratchArena
+from stylerf.fields.radiance_field import RadianceField
+from stylerf.geometry.cameras import Camera
+from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.kernels.cpu.ray_samples import Rays
+from stylerf.rendering.rays import alpha_inside, render_rays, with_surface_distance
+
+
+def render_pixels(
+    field: RadianceField,
+    camera: Camera,
+    pixels: np.ndarray,
+    *,
+    threads: int,
+    min_transmittance: float = 1e-3,
+    marked: np.ndarray | None = None,
+    arena: ScratchArena | None = None,
+) -> np.ndarray:
+    """Render some pixels of a view, to the same bits as render_view, except for rays that leave a frustum.
+
+    Args:
+        pixels: [n] row-major indices.
+        min_transmittance: a ray ends once its transmittance falls below this.
+        marked: cells [s, s, s] bool of a region; None: no region.
+        arena: memory of the samples, reset here.
+
+    Returns:
+        [n, 6] float32: premultiplied rgb (sRGB-encoded), alpha, surface distance (scene units), the part of alpha that
+        lies in marked cells.
+    """
+    out = np.zeros((len(pixels), 6), np.float32)
+    origins, directions = camera.rays(pixels)
+    kept = stays_inside(field.space, directions)
+    if not kept.any():
+        return out
+    rendered = render_rays(
+        field,
+        Rays.of(origins[kept], directions[kept], field.space.near),
+        threads=threads,
+        min_transmittance=min_transmittance,
+        weight_threshold=field.weight_threshold,
+        arena=arena.reset() if arena else None,
+    )
+    out[kept, :5] = with_surface_distance(rendered, threads)
+    if marked is not None:
+        out[kept, 5] = alpha_inside(marked, rendered.samples, threads)
+    return out
+
+
+def stays_inside(space: SpaceWarp, directions: np.ndarray) -> np.ndarray:
+    """Return [n] bool, which directions [n, 3] a frustum holds to its far end; all of them in other spaces.
+
+    Outside of it there is nothing, but the march would follow a ray there for a second. The scene's own views, which
+    the frustum is made of, have none.
+    """
+    if space.kind != "frustum":
+        return np.ones(len(directions), bool)
+    ahead = directions[:, 2]
+    across, down = (np.abs(directions[:, axis]) <= ahead * space.parameters[axis] for axis in range(2))
+    return (ahead > 0) & across & down
+
+
+def interlaced(width: int, height: int, coarsest: int) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield (stride, row-major pixels) of passes that together hold each pixel once.
+
+    Args:
+        coarsest: stride of the first pass, a power of two. Each pass halves it; its pixels are those on the grid of
+            its stride that no pass before held.
+    """
+    rows, columns = np.divmod(np.arange(width * height), width)
+    stride = coarsest
+    while stride >= 1:
+        on = (rows % stride == 0) & (columns % stride == 0)
+        if stride < coarsest:
+            on &= (rows % (2 * stride) != 0) | (columns % (2 * stride) != 0)
+        yield stride, np.flatnonzero(on)
+        stride //= 2
+
+
+def spread_out(grid: np.ndarray, stride: int) -> np.ndarray:
+    """Fill an image [h, w, ...] from its pixels on the grid of a stride: each takes the next one up and left."""
+    if stride == 1:
+        return grid
+    height, width = grid.shape[:2]
+    return grid[::stride, ::stride].repeat(stride, 0)[:height].repeat(stride, 1)[:, :width]
+
+
+def coarsest_within(count: int, most: float, strides: tuple[int, ...] = (1, 2, 4, 8)) -> int:
+    """Return the smallest stride whose grid has at most `most` of `count` pixels; the last one if none has."""
+    return next((stride for stride in strides if count / stride**2 <= most), strides[-1])
+
+
+def in_batches(pixels: np.ndarray, size: int, stopped: Callable[[], bool]) -> Iterator[np.ndarray]:
+    """Yield parts of `pixels` of at most `size`, until stopped() is true."""
+    for at in range(0, len(pixels), size):
+        if stopped():
+            return
+        yield pixels[at : at + size]
+

@@ -1,0 +1,122 @@
+"""The painter: small pictures while the camera moves, the renderer's own when it rests, nothing that nobody wants."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from stages.viewing.cameras import Pose
+from stages.viewing.library import Library
+from stages.viewing.painter import Painter
+from stages.viewing.shown import Shown, picture_of
+from stylerf.rendering.view import render_view
+from tests.stages.viewing.room import furnished
+
+EXACT_PIXELS = 60 * 45
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    return Library(furnished(tmp_path_factory.mktemp("viewed") / "work").root)
+
+
+class Board:
+    """What a page was sent."""
+
+    def __init__(self):
+        self.sent, self.done = [], threading.Event()
+
+    def __call__(self, picture, exact, stride):
+        self.sent.append((picture, exact, stride))
+        if exact:
+            self.done.set()
+
+
+@pytest.fixture
+def painter():
+    made = Painter(1, EXACT_PIXELS, 12.0)
+    made.start()
+    yield made
+    made.stop()
+
+
+def pose(x: float = 0.0) -> Pose:
+    return Pose((1.0, 0.0, 0.0, 0.0), (x, 0.0, 0.0), 0.76, 4 / 3)
+
+
+def test_a_picture_at_rest_is_the_renderers_own(library, painter):
+    board, source = Board(), library.source("plain")
+    painter.open(0, board)
+    painter.show(Shown(source))
+    painter.move(0, pose())
+    assert board.done.wait(60)
+    picture = board.sent[-1][0]
+    seen = render_view(source.field, pose().camera(EXACT_PIXELS), threads=1)
+    wanted = (np.clip(seen.rgb, 0, 1) * 255 + 0.5).astype(np.uint8)
+    assert seen.alpha.max() > 0.5
+    np.testing.assert_array_equal(picture, wanted)
+    assert not board.sent[0][1], "the first picture is not the exact one"
+    time.sleep(0.05)
+    np.testing.assert_array_equal(painter.exact(0), picture)
+    painter.move(0, pose(0.1))
+    assert painter.exact(0) is None
+
+
+def test_either_side_of_the_wipe_is_its_field(library, painter):
+    board, left, right = Board(), library.source("plain"), library.source("palette")
+    painter.open(0, board)
+    painter.move(0, pose())
+    painter.show(Shown(left, right, 0.5))
+    assert board.done.wait(60)
+    camera = pose().camera(EXACT_PIXELS)
+    both = [(np.clip(render_view(s.field, camera, threads=1).rgb, 0, 1) * 255 + 0.5) for s in (left, right)]
+    one, two = (picture.astype(np.uint8) for picture in both)
+    middle, picture = camera.width // 2, board.sent[-1][0]
+    assert not np.array_equal(one[:, middle + 1 :], two[:, middle + 1 :])
+    np.testing.assert_array_equal(picture[:, :middle], one[:, :middle])
+    np.testing.assert_array_equal(picture[:, middle + 1 :], two[:, middle + 1 :])
+
+
+def test_a_closed_page_is_sent_nothing(library, painter):
+    board = Board()
+    painter.open(0, board)
+    painter.close(0)
+    painter.show(Shown(library.source("plain")))
+    painter.move(0, pose())
+    time.sleep(0.3)
+    assert board.sent == [] and painter.pose(0) is None
+
+
+def test_an_error_is_reported_and_the_next_picture_painted(library):
+    errors, board = [], Board()
+    painter = Painter(1, EXACT_PIXELS, 12.0, failed=errors.append)
+    painter.start()
+
+    def broken(picture, exact, stride):
+        raise OSError("the page is gone")
+
+    painter.open(0, broken)
+    painter.move(0, pose())
+    painter.show(Shown(library.source("plain")))
+    painter.open(1, board)
+    painter.move(1, pose())
+    painter.show(Shown(library.source("plain")))
+    assert board.done.wait(60)
+    painter.stop()
+    assert errors and "gone" in str(errors[0])
+
+
+def test_marked_cells_are_tinted_and_planes_show_what_they_name(library):
+    source, camera = library.source("plain"), pose().camera(800)
+    seen = render_view(source.field, camera, threads=1, regions={"all": np.ones((4, 4, 4), bool)})
+    out = np.dstack([seen.rgb, seen.alpha, seen.ray_distance, seen.masks["all"]])
+    plain, tinted = (picture_of(Shown(source, marked=m), camera, out) for m in (None, np.ones((4, 4, 4), bool)))
+    full = seen.alpha > 0.99
+    assert full.any()
+    expected = plain[full] * 0.45 + 0.55 * 255 * np.array([1.0, 0.1, 0.8])
+    assert np.abs(tinted[full] - expected).max() < 3
+    alpha = picture_of(Shown(source, plane="alpha"), camera, out)
+    np.testing.assert_array_equal(alpha[..., 0], (seen.alpha * 255 + 0.5).astype(np.uint8))
+    assert picture_of(Shown(source, plane="depth"), camera, out)[full].any()
+    assert not picture_of(Shown(source, plane="displacement"), camera, out).any()

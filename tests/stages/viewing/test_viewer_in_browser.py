@@ -1,0 +1,106 @@
+"""The viewer in headless Chromium: a picture appears, a click selects, nothing is reported in the console.
+
+With STYLERF_SCREENSHOTS=FOLDER the page is also saved as a PNG, to look at.
+"""
+
+import os
+from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from schemas.errors import ArtifactStale, OutOfResources
+from stages.configs.view import ViewConfig
+from stages.viewing.server import Viewer
+from tests.stages.report.browser import CHROMIUM, Browser
+from tests.stages.viewing.room import furnished
+from tests.stages.viewing.tab import SOFTWARE_GL, Tab, until
+
+WIDTH, HEIGHT = 900, 600
+in_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)")
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    pytest.importorskip("viser")
+    work = furnished(tmp_path_factory.mktemp("viewed") / "work")
+    made = Viewer(work.root, ViewConfig(port=0, open=False, size=96), 1, "plain")
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def tab(viewer, tmp_path_factory):
+    browser = Browser(tmp_path_factory.mktemp("profile"), SOFTWARE_GL)
+    browser.go(viewer.url, WIDTH, HEIGHT)
+    opened = Tab(browser)
+    assert until(opened.ready)
+    yield opened
+    if screenshots := os.environ.get("STYLERF_SCREENSHOTS"):
+        Image.fromarray(opened.picture()).save(Path(screenshots, "viewer.png"))
+    browser.close()
+
+
+@in_browser
+def test_a_picture_appears_and_moves_with_the_camera(viewer, tab):
+    desk = viewer.desk
+    page = next(iter(desk.painter._pages))
+    assert until(lambda: desk.painter.exact(page) is not None)
+    exact = desk.painter.exact(page)
+    h, w = (side // 3 for side in exact.shape[:2])
+    middle = exact[h : 2 * h, w : 2 * w].mean((0, 1))
+    assert middle.min() > 50
+    assert until(lambda: np.abs(tab.view().mean((0, 1)) - middle).max() < 4), (tab.view().mean((0, 1)), middle)
+    before, pose = tab.view(), desk.painter.pose(page)
+    box = tab.canvas()
+    tab.press(box["x"] + 150, box["y"] + 300, to=(box["x"] + 210, box["y"] + 320))
+    assert until(lambda: desk.painter.pose(page) != pose)
+    assert until(lambda: desk.painter.exact(page) is not None)
+    assert until(lambda: np.abs(tab.view().astype(int) - before).max() > 8)
+    assert tab.browser.errors == []
+
+
+@in_browser
+def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
+    tab.choose("Select")
+    assert until(lambda: "nothing is selected" in tab.words())
+    viewer.page.controls["pointer"].value = "click"
+    box = tab.canvas()
+    page = next(iter(viewer.desk.painter._pages))
+    tab.press(box["x"] + box["width"] * 0.4, box["y"] + box["height"] * 0.5)
+    assert until(lambda: viewer.desk.selected_cells > 0), tab.words()
+    assert until(lambda: f"{viewer.desk.selected_cells} cells selected" in tab.words())
+    assert until(lambda: "stylerf select" in tab.words())
+    assert until(lambda: viewer.desk.painter.exact(page) is not None)
+    tab.choose("Undo")
+    assert until(lambda: "nothing is selected" in tab.words())
+    assert tab.browser.errors == []
+
+
+def test_only_the_viewers_own_pages_are_served(viewer):
+    assert urlopen(viewer.url, timeout=20).status == 200
+    for path in ("/../../pyproject.toml", "/scene/wall/scene.json", "/%2e%2e/x"):
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(viewer.url + path, timeout=20)
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(Request(viewer.url, headers={"Host": "evil.example"}), timeout=20)
+
+
+def test_a_second_viewer_is_told_who_holds_the_folder(viewer):
+    root = viewer.desk.library.work.root
+    with pytest.raises(OutOfResources, match=f"being shown by another process .{os.getpid()}"):
+        Viewer(root, ViewConfig(port=0, open=False), 1)
+
+
+def test_a_port_in_use_and_an_empty_folder_are_reported(viewer, tmp_path):
+    furnished(tmp_path / "work")
+    port = int(viewer.url.rpartition(":")[2])
+    with pytest.raises(OutOfResources, match=f"--port {port} cannot be served"):
+        Viewer(tmp_path / "work", ViewConfig(port=port, open=False), 1)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ArtifactStale, match="no scene"):
+        Viewer(tmp_path / "empty", ViewConfig(port=0, open=False), 1)
+    Viewer(tmp_path / "work", ViewConfig(port=0, open=False), 1).close()  # the failed one has let go of the folder

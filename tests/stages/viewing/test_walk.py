@@ -1,0 +1,191 @@
+"""A walk through the whole page in headless Chromium, and random clicks and drags; on the demo's still life.
+
+STYLERF_VIEWED=FOLDER walks through another work folder of the still life. STYLERF_SCREENSHOTS=FOLDER keeps pictures of
+the page and viewer.gif, which docs/how-to/view.md shows; without it they are kept when the walk fails.
+"""
+
+import os
+import random
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from stages.configs.decompose import PaletteFieldConfig
+from stages.configs.fit import FitConfig
+from stages.configs.view import ViewConfig
+from stages.pipeline.demo_scene import write_demo
+from stages.pipeline.pipeline import Pipeline
+from stages.run.progress import Silent
+from stages.viewing.server import Viewer
+from tests.stages.report.browser import CHROMIUM, Browser
+from tests.stages.viewing.tab import SOFTWARE_GL, Tab, until
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)"),
+]
+WIDTH, HEIGHT = 1100, 640
+RANDOM_SECONDS = float(os.environ.get("STYLERF_RANDOM_SECONDS", "600"))
+GIF_WIDTH = 640
+PATIENCE = 240.0
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory) -> Path:
+    pytest.importorskip("viser")
+    folder = tmp_path_factory.mktemp("walked") / "still-life"
+    if given := os.environ.get("STYLERF_VIEWED"):
+        shutil.copytree(given, folder)
+        return folder
+    write_demo(folder / "photos", 128, 24, 4, 0, 2, Silent())
+    pipeline = Pipeline(folder, threads=2)
+    pipeline.import_photos(folder / "photos")
+    pipeline.fit(FitConfig(budget="30s", buffers=False))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def walked(root, tmp_path_factory):
+    pipeline = Pipeline(root, threads=2)
+    pipeline.decompose(PaletteFieldConfig(budget="100", refit_steps=100), of="fit", name="palette")
+    viewer = Viewer(root, ViewConfig(port=0, open=False), 2, "fit")
+    browser = Browser(tmp_path_factory.mktemp("profile"), SOFTWARE_GL)
+    browser.go(viewer.url, WIDTH, HEIGHT)
+    tab = Tab(browser)
+    assert until(tab.ready)
+    yield viewer, tab
+    browser.close()
+    viewer.close()
+
+
+class Film:
+    """Pictures of the walk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.frames = folder, list[Image.Image]()
+
+    def take(self, tab: Tab, name: str = "", shown: int = 1) -> None:
+        picture = Image.fromarray(tab.picture())
+        if name:
+            picture.save(self.folder / f"{name}.png")
+        small = picture.resize((GIF_WIDTH, round(GIF_WIDTH * HEIGHT / WIDTH)), Image.Resampling.LANCZOS)
+        self.frames += [small] * shown
+
+    def save(self) -> None:
+        first, *others = [one.quantize(96, dither=Image.Dither.NONE) for one in self.frames]
+        path = self.folder / "viewer.gif"
+        first.save(path, save_all=True, append_images=others, duration=350, loop=0, optimize=True)
+
+
+@pytest.mark.timeout(1800)
+def test_the_whole_walk(walked, tmp_path):
+    viewer, tab = walked
+    desk, controls = viewer.desk, viewer.page.controls
+    film = Film(Path(os.environ.get("STYLERF_SCREENSHOTS", tmp_path)))
+    page = next(iter(desk.painter._pages))
+    box = tab.canvas()
+    middle = (box["x"] + 0.36 * box["width"], box["y"] + 0.5 * box["height"])
+
+    def rest() -> np.ndarray:
+        assert until(lambda: desk.painter.exact(page) is not None, PATIENCE), tab.words()
+        time.sleep(0.4)
+        return desk.painter.exact(page)
+
+    rest()
+    film.take(tab, "1-look", 2)
+    for _ in range(6):
+        pose = desk.painter.pose(page)
+        tab.press(*middle, to=(middle[0] + 45, middle[1] + 6))
+        assert until(lambda before=pose: desk.painter.pose(page) != before)
+        rest()
+        film.take(tab)
+
+    # Select: what is tinted is where it was clicked, and the rest stays as it was.
+    before = rest()
+    tab.choose("Select")
+    controls["pointer"].value = "click"
+    tab.press(*middle)
+    assert until(lambda: desk.selected_cells > 0, PATIENCE), tab.words()
+    assert until(lambda: "stylerf select" in tab.words())
+    after = rest()
+    changed = np.abs(after.astype(int) - before).max(2) > 12
+    assert 0.001 < changed.mean() < 0.6
+    film.take(tab, "2-selected", 3)
+    desk.start(desk.select_command("thing"))
+    assert until(lambda: desk.run.code is not None, PATIENCE) and desk.run.code == 0, list(desk.run.lines)
+    desk.clear_selection()
+
+    # Recolor: the page's picture is that of the recolored field, and goes back.
+    tab.choose("Recolor")
+    desk.look(field="palette")
+    desk.open_palette("palette")
+    plain = rest()
+    began = time.perf_counter()
+    desk.recolor(0, color="#d03010")
+    assert until(lambda: desk.painter.exact(page) is not None, PATIENCE)
+    print(f"recolored exactly after {time.perf_counter() - began:.2f} s")
+    assert np.abs(rest().astype(int) - plain).max() > 40
+    assert "--palette" in " ".join(desk.recolor_command("red"))
+    film.take(tab, "3-recolored", 3)
+    desk.reset_palette()
+    np.testing.assert_array_equal(rest(), plain)
+    desk.open_palette("")
+
+    # Two fields side by side, depth, a path.
+    tab.choose("Look")
+    fields = desk.library.fields()
+    desk.look(field="fit", beside=next(name for name in fields if name not in ("fit", "palette", "fit-deformed")) if
+              len(fields) > 3 else "palette")  # fmt: skip
+    rest()
+    film.take(tab, "4-beside", 3)
+    desk.look(beside="", plane="depth")
+    rest()
+    film.take(tab, "5-depth", 2)
+    desk.look(plane="color")
+    tab.choose("Paths")
+    for _ in range(2):
+        tab.choose("Add keyframe here")
+        pose = desk.painter.pose(page)
+        tab.press(*middle, to=(middle[0] + 60, middle[1]))
+        assert until(lambda before=pose: desk.painter.pose(page) != before)
+        rest()
+    assert until(lambda: len(desk.keyframes.poses) == 2)
+    desk.set_keyframes(between=2)
+    desk.start([*desk.path_command(desk.save_path("walk")), "--scale", "0.5", "--no-exr"])
+    assert until(lambda: desk.run.code is not None, PATIENCE) and desk.run.code == 0, list(desk.run.lines)
+    frames = desk.library.work.get("frames", "fit-walk")
+    assert frames.manifest.figures["frames"] == 3
+    tab.choose("Session")
+    assert until(lambda: "stylerf render" in tab.words())
+    film.take(tab, "6-session", 2)
+    assert desk.script().count("\nstylerf ") == 2
+    film.save()
+    assert tab.browser.errors == []
+
+
+@pytest.mark.timeout(RANDOM_SECONDS + 300)
+def test_random_clicks_and_drags_leave_no_error_and_no_memory(walked):
+    import psutil
+
+    viewer, tab = walked
+    chance, process, sizes = random.Random(0), psutil.Process(), []
+    viewer.page.controls["pointer"].value = "look"
+    end = time.monotonic() + RANDOM_SECONDS
+    while time.monotonic() < end:
+        x, y = chance.uniform(5, WIDTH * 0.6), chance.uniform(5, HEIGHT - 5)
+        to = (chance.uniform(5, WIDTH * 0.6), chance.uniform(5, HEIGHT - 5)) if chance.random() < 0.6 else None
+        tab.press(x, y, to)
+        if chance.random() < 0.1:
+            tab.choose(chance.choice(["Look", "Select", "Recolor", "Stylize", "Paths", "Session"]))
+        time.sleep(0.05)
+        sizes.append(process.memory_info().rss / 1e6)
+    settled = sizes[len(sizes) // 3 :]
+    third = len(settled) // 3
+    growth = np.median(settled[-third:]) - np.median(settled[:third])
+    print(f"{len(sizes)} gestures, {sizes[0]:.0f} to {sizes[-1]:.0f} MB, {growth:+.1f} MB in the last two thirds")
+    assert growth < 60
+    assert tab.browser.errors == []
