@@ -2,11 +2,14 @@
 
 import os
 import signal
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 import torch
 
+from tests.stylerf.kernels.gpu.patched_once import patched_once
 from tests.stylerf_cli import capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -31,6 +34,16 @@ def data_dir() -> Path:
     if not (folder / "lego" / "transforms_train.json").is_file():
         pytest.skip(f"real scenes not found in {folder}; set STYLERF_DATA to run this test")
     return folder
+
+
+@pytest.fixture(scope="session")
+def interpreter() -> Iterator[None]:
+    """Triton's interpreter, quicker, for tests whose kernels run in it; nothing where there is a GPU or no Triton."""
+    if os.environ.get("TRITON_INTERPRET") != "1" or find_spec("triton") is None:
+        yield
+        return
+    with patched_once():
+        yield
 
 
 @pytest.fixture
