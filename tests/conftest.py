@@ -2,6 +2,7 @@
 
 import os
 import signal
+import tempfile
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -34,6 +35,17 @@ def data_dir() -> Path:
     if not (folder / "lego" / "transforms_train.json").is_file():
         pytest.skip(f"real scenes not found in {folder}; set STYLERF_DATA to run this test")
     return folder
+
+
+@pytest.fixture
+def tmp_path(tmp_path):
+    """A fresh folder, in memory where there is such a place: all that is written is flushed, which a busy disk makes
+    slow."""
+    if not os.access("/dev/shm", os.W_OK):
+        yield tmp_path
+        return
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        yield Path(folder)
 
 
 @pytest.fixture(scope="session")
