@@ -18,12 +18,13 @@ from stages import edit_learn
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region, save_region
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
+from stages.pipeline.demo_scene import PAINTING, write_demo
+from stages.run.progress import Silent
 from stylerf.fields.radiance_field import layers_of
 from stylerf.rendering.view import render_view
 from stylerf_cli.main import main
+from tests.stylerf_cli.conftest import STYLIZE
 
-DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
-        "--frames", "2", "--method", "arf"]  # fmt: skip
 QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--max-colors", "3"]
 
 
@@ -43,11 +44,15 @@ def refused(capsys, *arguments: object) -> str:
 
 @pytest.fixture(scope="module")
 def still_life(tmp_path_factory) -> Path:
-    """A fitted tiny still life, without what the demo makes of it after that."""
+    """A fitted tiny still life and a stylization of it."""
     work = tmp_path_factory.mktemp("edit") / "work"
-    assert main(["demo", str(work), "--quiet", *DEMO]) == 0
-    for kind in ("frames", "report"):
-        shutil.rmtree(work / kind)
+    write_demo(work / "photos", 48, 16, 2, 0, 1, Silent())
+    for command in (
+        ("import", work / "photos", work),
+        ("fit", work, "--budget", "250", "--no-buffers"),
+        ("stylize", work, "--of", "fit", "--style", work / "photos" / PAINTING, *STYLIZE),
+    ):
+        assert main([*map(str, command), "--quiet"]) == 0
     return work
 
 
@@ -164,6 +169,7 @@ def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way
     said(capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "ball", *QUICK)
 
 
+@pytest.mark.slow
 def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, capsys, tmp_path):
     work, requested = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
     shutil.copytree(edited, work)
@@ -204,6 +210,7 @@ def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edit
     assert [*stages, again.manifest.stage] == ["edit_palette", "edit_learn"]
 
 
+@pytest.mark.slow
 def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path):
     copy, short = tmp_path / "work", ("--budget", "5", "--rays", "512")
     shutil.copytree(edited, copy)
@@ -386,6 +393,7 @@ def test_the_whole_fields_colors_can_learn_instead(edited, capsys):
     np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
+@pytest.mark.slow
 def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
     """An edit learned with other options, and its photos: each named command is enough for the next step."""
     work = tmp_path / "a folder"
