@@ -2,11 +2,15 @@
 
 import os
 import signal
+import tempfile
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 import torch
 
+from tests.stylerf.kernels.gpu.patched_once import patched_once
 from tests.stylerf_cli import capture
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -31,6 +35,27 @@ def data_dir() -> Path:
     if not (folder / "lego" / "transforms_train.json").is_file():
         pytest.skip(f"real scenes not found in {folder}; set STYLERF_DATA to run this test")
     return folder
+
+
+@pytest.fixture
+def tmp_path(tmp_path):
+    """A fresh folder, in memory where there is such a place: all that is written is flushed, which a busy disk makes
+    slow."""
+    if not os.access("/dev/shm", os.W_OK):
+        yield tmp_path
+        return
+    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
+        yield Path(folder)
+
+
+@pytest.fixture(scope="session")
+def interpreter() -> Iterator[None]:
+    """Triton's interpreter, quicker, for tests whose kernels run in it; nothing where there is a GPU or no Triton."""
+    if os.environ.get("TRITON_INTERPRET") != "1" or find_spec("triton") is None:
+        yield
+        return
+    with patched_once():
+        yield
 
 
 @pytest.fixture

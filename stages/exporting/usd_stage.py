@@ -83,15 +83,6 @@ def film_of(camera: Camera) -> dict[str, float]:
     }
 
 
-def camera_of_film(name: str, film: dict[str, float], size: tuple[int, int], pose: np.ndarray) -> Camera:
-    """Return the camera of a film (film_of) whose picture has a size in pixels; pose [4, 4], OpenCV axes."""
-    (width, height), focal = size, film["focalLength"]
-    fx, fy = width * focal / film["horizontalAperture"], height * focal / film["verticalAperture"]
-    cx = width / 2 - film["horizontalApertureOffset"] * fx / focal
-    cy = height / 2 + film["verticalApertureOffset"] * fy / focal
-    return Camera(name, width, height, fx, fy, cx, cy, pose)
-
-
 def _add_settings(stage: Any, camera: Camera) -> None:
     render, gf, sdf = needed("pxr.UsdRender", "USD"), needed("pxr.Gf", "USD"), needed("pxr.Sdf", "USD")
     needed("pxr.UsdGeom", "USD").Scope.Define(stage, "/Render")

@@ -27,6 +27,7 @@ from tests.stylerf.small import field_of, hash_density, vm_color, voxel_density
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
+pytestmark = pytest.mark.usefixtures("interpreter")
 CONFIG = DeformConfig(steps=1, rays=16, vertices=6, width=16, frequencies=2)
 
 

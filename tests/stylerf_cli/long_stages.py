@@ -19,9 +19,10 @@ from tests.stylerf_cli.nursery import Command, Nursery
 FOLLOWED_EVERY_SECONDS = 0.002
 STAGES = ("import", "fit", "fit that grows", "deform", "stylize", "stylize by turns", "stylize after a view",
           "stylize with shapes", "stylize a region", "stylize by a palette", "finetune", "render", "eval")  # fmt: skip
-IN_THE_SLOW_TESTS = ("fit that grows", "deform", "stylize with shapes", "stylize a region", "stylize by a palette")
-# The rest goes the same ways: its turn comes with the slow tests.
-IN_THE_GATE = [pytest.param(name, marks=[pytest.mark.slow] if name in IN_THE_SLOW_TESTS else []) for name in STAGES]
+# One of each kind: a loop that learns a field, one in phases that begins with a painting, one that writes frame after
+# frame. The rest goes the same ways: its turn comes with the slow tests.
+QUICK = ("fit", "stylize", "render")
+IN_THE_GATE = [pytest.param(name, marks=[] if name in QUICK else [pytest.mark.slow]) for name in STAGES]
 TAKEN = re.compile(r"seconds|runs|peak_memory_mb")
 
 

@@ -18,12 +18,13 @@ from stages import edit_learn
 from stages.artifacts.field import load_field
 from stages.artifacts.region import load_region, save_region
 from stages.artifacts.scene import EDIT_TARGETS, load_scene
+from stages.pipeline.demo_scene import PAINTING, write_demo
+from stages.run.progress import Silent
 from stylerf.fields.radiance_field import layers_of
 from stylerf.rendering.view import render_view
 from stylerf_cli.main import main
+from tests.stylerf_cli.conftest import STYLIZE
 
-DEMO = ["--size", "48", "--train-views", "16", "--test-views", "2", "--fit-budget", "250", "--style-budget", "2",
-        "--frames", "2", "--method", "arf"]  # fmt: skip
 QUICK = ["--palette-steps", "60", "--pruned-steps", "20", "--colors", "4", "--max-colors", "3"]
 
 
@@ -43,11 +44,15 @@ def refused(capsys, *arguments: object) -> str:
 
 @pytest.fixture(scope="module")
 def still_life(tmp_path_factory) -> Path:
-    """A fitted tiny still life, without what the demo makes of it after that."""
+    """A fitted tiny still life and a stylization of it."""
     work = tmp_path_factory.mktemp("edit") / "work"
-    assert main(["demo", str(work), "--quiet", *DEMO]) == 0
-    for kind in ("frames", "report"):
-        shutil.rmtree(work / kind)
+    write_demo(work / "photos", 48, 16, 2, 0, 1, Silent())
+    for command in (
+        ("import", work / "photos", work),
+        ("fit", work, "--budget", "250", "--no-buffers"),
+        ("stylize", work, "--of", "fit", "--style", work / "photos" / PAINTING, *STYLIZE),
+    ):
+        assert main([*map(str, command), "--quiet"]) == 0
     return work
 
 
@@ -164,6 +169,7 @@ def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way
     said(capsys, "stylize", edited, "--region", "ball", "--recolor", "--palette", "0=#10e020", "--name", "ball", *QUICK)
 
 
+@pytest.mark.slow
 def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, capsys, tmp_path):
     work, requested = tmp_path / "work", ("--region", "ball", "--recolor", *QUICK)
     shutil.copytree(edited, work)
@@ -204,6 +210,7 @@ def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edit
     assert [*stages, again.manifest.stage] == ["edit_palette", "edit_learn"]
 
 
+@pytest.mark.slow
 def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path):
     copy, short = tmp_path / "work", ("--budget", "5", "--rays", "512")
     shutil.copytree(edited, copy)
@@ -286,36 +293,44 @@ def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edi
     assert np.abs(found - wanted).max() < 0.5 * np.abs(wanted - before).max()
 
 
-def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(edited, middle, capsys, tmp_path):
+@pytest.mark.parametrize("picture", ["red", pytest.param("painting", marks=pytest.mark.slow)])
+def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(
+    edited, middle, capsys, tmp_path, picture
+):
+    """After a picture that is given, and after one that is painted first."""
     work, view = WorkFolder(edited), middle.partition(":")[0]
     few = ("--method", "refnpr", "--levels", "4", "--table-bits", "12", "--budget", "9", "--refit-steps", "8")
     red = np.zeros((48, 48, 3), np.uint8) + np.array([220, 10, 10], np.uint8)
     write_png(tmp_path / "red.png", red)
-    given = ("--reference", f"{view}={tmp_path / 'red.png'}")
-    painted = ("--style", edited / "photos" / "painting.png", "--reference-view", view, "--reference-steps", "3")
+    flags = {
+        "red": ("--reference", f"{view}={tmp_path / 'red.png'}"),
+        "painting": (
+            "--style", edited / "photos" / PAINTING, "--reference-view", view, "--reference-steps", "3",
+        ),
+    }[picture]  # fmt: skip
     fit, _ = load_field(work.get("field", fitted(edited)))
     region = load_region(work.get("region", "ball"))[0]
     camera = photographed(work)
     before = render_view(fit, camera, threads=1, regions={"ball": region.edit})
-    for flags, name in ((given, "ball-red-refnpr"), (painted, "ball-painting-refnpr")):
-        made = said(capsys, "stylize", edited, "--region", "ball", *flags, *few)
-        assert made["name"] == name
-        field, _ = load_field(work.get("field", name))
-        assert [part.kind for part in layers_of(field.color)] == ["patch", fit.color.kind]
-        assert {ref.role: ref.name for ref in work.get("field", name).manifest.inputs}["region"] == "ball"
-        after = render_view(field, camera, threads=1, regions={"own": field.color.marked})
-        beside = after.masks["own"] == 0
-        assert beside.sum() > 500 and np.array_equal(after.rgb[beside], before.rgb[beside])
-        inside = before.masks["ball"] > 0.9
-        assert np.abs(after.rgb - before.rgb)[inside].mean() > 0.02
-        (reference,) = made["figures"]["references"]
-        picture = read_image(Path(made["field"]) / reference["file"]).pixels
-        photo = load_scene(photos_of(work)).images(0)
-        over = photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
-        assert np.abs(picture - over)[before.masks["ball"] == 0].max() < 0.01
-    figures = said(capsys, "eval", edited, "--of", "ball-red-refnpr", "--region", "ball", "--perceptual", "none")
-    assert figures["figures"]["background_ratio"] == pytest.approx(1, abs=0.1)
-    assert figures["figures"]["change_inside"] > 0.02
+    made = said(capsys, "stylize", edited, "--region", "ball", *flags, *few)
+    name = f"ball-{picture}-refnpr"
+    assert made["name"] == name
+    field, _ = load_field(work.get("field", name))
+    assert [part.kind for part in layers_of(field.color)] == ["patch", fit.color.kind]
+    assert {ref.role: ref.name for ref in work.get("field", name).manifest.inputs}["region"] == "ball"
+    after = render_view(field, camera, threads=1, regions={"own": field.color.marked})
+    beside = after.masks["own"] == 0
+    assert beside.sum() > 500 and np.array_equal(after.rgb[beside], before.rgb[beside])
+    inside = before.masks["ball"] > 0.9
+    assert np.abs(after.rgb - before.rgb)[inside].mean() > 0.02
+    (reference,) = made["figures"]["references"]
+    shown = read_image(Path(made["field"]) / reference["file"]).pixels
+    photo = load_scene(photos_of(work)).images(0)
+    over = photo[..., :3] * photo[..., 3:] + 1 - photo[..., 3:]
+    assert np.abs(shown - over)[before.masks["ball"] == 0].max() < 0.01
+    if picture == "red":
+        figures = said(capsys, "eval", edited, "--of", name, "--region", "ball", "--perceptual", "none")["figures"]
+        assert figures["background_ratio"] == pytest.approx(1, abs=0.1) and figures["change_inside"] > 0.02
 
 
 def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
@@ -386,6 +401,7 @@ def test_the_whole_fields_colors_can_learn_instead(edited, capsys):
     np.testing.assert_array_equal(held.density.values, plain.density.values)
 
 
+@pytest.mark.slow
 def test_the_commands_that_only_names_make_what_was_missing(edited, tmp_path, capsys):
     """An edit learned with other options, and its photos: each named command is enough for the next step."""
     work = tmp_path / "a folder"

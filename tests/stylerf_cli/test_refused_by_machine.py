@@ -80,7 +80,15 @@ def disk(tmp_path):
         subprocess.run(["umount", str(folder)], check=True)
 
 
-@pytest.mark.parametrize(("source", "kilobytes"), [("photos", 100), ("room", 60), ("room", 200), ("room", 900)])
+@pytest.mark.parametrize(
+    ("source", "kilobytes"),
+    [
+        ("photos", 100),
+        ("room", 200),
+        pytest.param("room", 60, marks=pytest.mark.slow),
+        pytest.param("room", 900, marks=pytest.mark.slow),
+    ],
+)
 def test_a_full_disk_stops_an_import_and_a_larger_one_lets_it_go_on(
     disk, nursery, tmp_path, source, kilobytes, request
 ):

@@ -13,11 +13,9 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, is_dataclass, replace
 from functools import partial as partial_call
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,16 +37,6 @@ from tests.stages.toy_stage import SPEC, ToyConfig, run
 
 def toy(work: WorkFolder, name="fox", config=None, inputs=None, force=False, seed=0, function=run):
     return execute(SPEC, function, work, name, inputs or {}, config or ToyConfig(), Context(seed=seed), force)
-
-
-@pytest.fixture
-def tmp_path(tmp_path):
-    """A folder in memory where there is one: these tests flush hundreds of times, which a busy disk makes slow."""
-    if not os.access("/dev/shm", os.W_OK):
-        yield tmp_path
-        return
-    with tempfile.TemporaryDirectory(dir="/dev/shm") as folder:
-        yield Path(folder)
 
 
 @pytest.fixture

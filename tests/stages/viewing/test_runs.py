@@ -8,8 +8,8 @@ from stages.viewing.runs import Run
 TALK = "print('one'); print('two')"
 WAIT = """
 import time
-print('ready', flush=True)
 try:
+    print('ready', flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     print('saved', flush=True)

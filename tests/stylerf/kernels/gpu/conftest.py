@@ -6,7 +6,7 @@ from tests.stylerf.kernels.gpu.bounds import bounds_checked
 
 
 @pytest.fixture(scope="session")
-def device():
+def device(interpreter):
     pytest.importorskip("triton", reason="Triton is not installed: pip install -e '.[test]' brings it on Linux")
     import torch
 
