@@ -20,7 +20,6 @@ from stylerf.rendering.interlaced import (
     interlaced,
     render_pixels,
     spread_out,
-    stays_inside,
 )
 
 REST_SECONDS = 0.12  # without a new pose, after which the camera rests
@@ -211,7 +210,6 @@ class Painter:
         began = time.perf_counter()
         out = np.empty((len(pixels), 6), np.float32)
         right = pixels % camera.width >= shown.boundary(camera.width)
-        marched = int(stays_inside(shown.left.field.space, camera.rays(pixels)[1]).sum())
         for source, which in ((shown.left, ~right), (shown.right, right)):
             if source is not None and which.any():
                 out[which] = render_pixels(
@@ -224,6 +222,5 @@ class Painter:
                     arena=self._arena,
                 )
         seconds = max(time.perf_counter() - began, 1e-6)
-        if marched > len(pixels) // 4:  # rays beside a frustum cost nothing
-            self.rate = 0.7 * self.rate + 0.3 * marched / seconds
+        self.rate = 0.7 * self.rate + 0.3 * len(pixels) / seconds
         return out

@@ -7,7 +7,6 @@ import numpy as np
 from stylerf.fields.marching import ScratchArena
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import alpha_inside, render_rays, with_surface_distance
 
@@ -22,7 +21,7 @@ def render_pixels(
     marked: np.ndarray | None = None,
     arena: ScratchArena | None = None,
 ) -> np.ndarray:
-    """Render some pixels of a view, to the same bits as render_view, except for rays that leave a frustum.
+    """Render some pixels of a view, to the same bits as render_view.
 
     Args:
         pixels: [n] row-major indices.
@@ -34,36 +33,19 @@ def render_pixels(
         [n, 6] float32: premultiplied rgb (sRGB-encoded), alpha, surface distance (scene units), the part of alpha that
         lies in marked cells.
     """
-    out = np.zeros((len(pixels), 6), np.float32)
-    origins, directions = camera.rays(pixels)
-    kept = stays_inside(field.space, directions)
-    if not kept.any():
-        return out
     rendered = render_rays(
         field,
-        Rays.of(origins[kept], directions[kept], field.space.near),
+        Rays.of(*camera.rays(pixels), field.space.near),
         threads=threads,
         min_transmittance=min_transmittance,
         weight_threshold=field.weight_threshold,
         arena=arena.reset() if arena else None,
     )
-    out[kept, :5] = with_surface_distance(rendered, threads)
+    out = np.zeros((len(pixels), 6), np.float32)
+    out[:, :5] = with_surface_distance(rendered, threads)
     if marked is not None:
-        out[kept, 5] = alpha_inside(marked, rendered.samples, threads)
+        out[:, 5] = alpha_inside(marked, rendered.samples, threads)
     return out
-
-
-def stays_inside(space: SpaceWarp, directions: np.ndarray) -> np.ndarray:
-    """Return [n] bool, which directions [n, 3] a frustum holds to its far end; all of them in other spaces.
-
-    Outside of it there is nothing, but the march would follow a ray there for a second. The scene's own views, which
-    the frustum is made of, have none.
-    """
-    if space.kind != "frustum":
-        return np.ones(len(directions), bool)
-    ahead = directions[:, 2]
-    across, down = (np.abs(directions[:, axis]) <= ahead * space.parameters[axis] for axis in range(2))
-    return (ahead > 0) & across & down
 
 
 def interlaced(width: int, height: int, coarsest: int) -> Iterator[tuple[int, np.ndarray]]:
