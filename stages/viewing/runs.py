@@ -8,7 +8,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-PROGRAM = (sys.executable, "-m", "stylerf_cli.main")
+# Without -P, `-m` imports from the current folder first, whose files may be untrusted.
+PROGRAM = (sys.executable, "-P", "-m", "stylerf_cli.main")
 KEPT_LINES = 200
 ENDING_SECONDS = 30.0  # that a stopped run has for its last checkpoint
 

@@ -121,5 +121,5 @@ def test_damaged_scene_files_are_reported(tmp_path):
         with pytest.raises(ArtifactDamaged, match=r"scene\.json is damaged"):
             read_scene(tmp_path)
     (tmp_path / "scene.json").write_text("{")
-    with pytest.raises(ArtifactDamaged, match="damaged"):
+    with pytest.raises(ArtifactDamaged, match="not valid JSON"):
         read_scene(tmp_path)

@@ -561,6 +561,8 @@ def test_every_option_that_names_files_has_a_digest_in_their_place():
                 text = isinstance(item.default, str | tuple) and what["metavar"] != "N" and not what["choices"]
                 if text and names_files.search(f"{what['metavar']} {what['help']}"):
                     found.add(item.name)
+                    if config.__name__ == "FarmConfig":  # of no stage: a table of jobs has no manifest
+                        continue
                     assert what["digest"], (config.__name__, item.name)
     assert found >= {"images", "source", "features", "style", "reference", "masks", "flow", "path", "mask", "scribble"}
 
