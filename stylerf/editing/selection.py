@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt
+from scipy.ndimage import distance_transform_edt
 from skimage.color import rgb2lab
 
 from stylerf.editing.edit_grid import march_view
@@ -24,7 +24,6 @@ INHERIT = 2.0  # cells that a color extends beyond the seen ones, into solid one
 MOST_RAYS = 1 << 16  # of a view; cells are larger than pixels, and many views see each
 WEIGHT_THRESHOLD = 0.02  # samples of less than this fraction of their ray's largest weight are ignored
 CLAIM_REACH = 2  # cells
-EVERYWHERE = np.ones((3, 3, 3), bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,14 +180,30 @@ def claimed(looks: Iterable[Look], marked: np.ndarray, threads: int) -> np.ndarr
     for look in looks:
         look.add(look.share_inside(marked, threads), cells, sums)
     known = (sums[:, 1] > SEEN) & (sums[:, 0] > 0.5 * sums[:, 1])
-    return marked | (known.reshape(marked.shape) & binary_dilation(marked, EVERYWHERE, iterations=CLAIM_REACH))
+    return marked | (known.reshape(marked.shape) & widened(marked, CLAIM_REACH))
+
+
+def widened(marked: np.ndarray, width: int) -> np.ndarray:
+    """Mark all cells within `width` cells of marked ones, including diagonals; [s, s, s] bool.
+
+    One axis after the other: SciPy's dilation looks at all 27 neighbors, which takes ten times as long.
+    """
+    out = marked.copy()
+    for axis in range(3):
+        for _ in range(width):
+            before = np.moveaxis(out, axis, 0)
+            out = out.copy()
+            after = np.moveaxis(out, axis, 0)
+            after[1:] |= before[:-1]
+            after[:-1] |= before[1:]
+    return out
 
 
 def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:
     """Mark unmarked cells of `among` within `width` cells of marked ones, including diagonals; [s, s, s] bool."""
     if width < 1:
         return np.zeros_like(marked)
-    return binary_dilation(marked, EVERYWHERE, iterations=width) & among & ~marked
+    return widened(marked, width) & among & ~marked
 
 
 def filled(marked: np.ndarray, reach: int, among: np.ndarray) -> np.ndarray:
@@ -196,11 +211,11 @@ def filled(marked: np.ndarray, reach: int, among: np.ndarray) -> np.ndarray:
     if reach < 1:
         return marked
     room = np.pad(marked, reach)  # so that the closing is not cut off at the cube's border
-    closed = binary_erosion(binary_dilation(room, EVERYWHERE, iterations=reach), EVERYWHERE, iterations=reach)
+    closed = ~widened(~widened(room, reach), reach)
     inner = (slice(reach, -reach),) * 3
     return marked | (closed[inner] & among)
 
 
 def padded(marked: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Add all cells that touch marked ones, except `others`, since a soft surface extends beyond its cells."""
-    return binary_dilation(marked, EVERYWHERE) & ~others
+    return widened(marked, 1) & ~others

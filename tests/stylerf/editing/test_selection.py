@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from skimage.color import rgb2lab
 
 from stylerf.editing.selection import (
@@ -15,6 +16,7 @@ from stylerf.editing.selection import (
     padded,
     shell,
     shown_by_masks,
+    widened,
 )
 from stylerf.fields.packed_surface import PackedSurface
 from stylerf.fields.radiance_field import RadianceField
@@ -147,3 +149,11 @@ def test_a_shell_lies_around_and_padding_spares_others():
     others = np.zeros_like(marked)
     others[5] = True
     assert padded(marked, others).sum() == 27 - 9
+
+
+@pytest.mark.parametrize("width", [0, 1, 3])
+def test_widening_is_scipys_dilation_by_all_neighbors(width):
+    marked = np.random.default_rng(0).random((12, 9, 15)) < 0.01
+    marked[0, 0, 14] = True
+    expected = ndimage.binary_dilation(marked, np.ones((3, 3, 3)), iterations=width) if width else marked
+    np.testing.assert_array_equal(widened(marked, width), expected)
