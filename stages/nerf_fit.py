@@ -42,7 +42,7 @@ from stylerf.training.fit.settings import (
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=16, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=17, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.

@@ -3,7 +3,7 @@
 import pytest
 
 from stylerf.training.fit.capacity_search import PRUNINGS, RAMP, TRIAL_STEPS, CapacitySearch
-from stylerf.training.fit.settings import GROW, LEVELS, CapacityLevel, FitSettings, FitState, Kinds
+from stylerf.training.fit.settings import GROW, LEVELS, CapacityLevel, FitSettings, FitState, Kinds, levels_for
 
 EVEN = tuple(CapacityLevel(n, table_bits=18) for n in (64, 128, 192, 256))
 
@@ -173,6 +173,13 @@ def test_the_summary_says_what_more_or_less_capacity_would_do():
 def test_default_levels_leave_time_for_pruning():
     search = search_at(len(LEVELS) - 1, levels=LEVELS)
     assert search.pruning_due(search.settings.level_ends[-1] + 0.01) == "resolution"
+
+
+def test_larger_photos_of_an_object_get_finer_last_levels():
+    last = [levels_for(Kinds(), "box", pixels)[-1] for pixels in (200, 400, 800)]
+    finest = [(level.color.resolution, level.resolution) for level in last]
+    assert finest == sorted(finest) and len(set(finest)) == 3
+    assert all(pixels / 2.5 < colors for pixels, (colors, _) in zip((200, 400, 800), finest))
 
 
 def test_the_rate_rises_again_after_a_reduction():
