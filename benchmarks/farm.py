@@ -117,7 +117,7 @@ def kills(scenes: int, seed: int, folder: Path) -> dict:
         seconds[one["argv"][0]].append(one["seconds"])
     server.close()
     medians = {verb: statistics.median(values) for verb, values in seconds.items()}
-    print(f"undisturbed: {first['standing']} jobs in {whole_seconds:.0f} s", flush=True)
+    print(f"undisturbed: {first['finished']} jobs in {whole_seconds:.0f} s", flush=True)
 
     server = JobServer(folder / "second", Killing(KILLED_SHARE, medians, seed), commands)
     start, runs, refused, wholes = time.monotonic(), 0, [], 0
@@ -148,7 +148,7 @@ def kills(scenes: int, seed: int, folder: Path) -> dict:
     ends = Counter(child["code"] for child in children)
     return {
         "jobs": first["jobs"],
-        "standing": [first["standing"], last["standing"]],
+        "finished": [first["finished"], last["finished"]],
         "artifacts_compared": sum(map(len, one.values())),
         "differing": differing(one, other),
         "left_over": left_over(tables[1], scenes),
@@ -189,7 +189,7 @@ def slurm(scenes: int, seed: int, folder: Path) -> dict:
     one, other = (digests(table, scenes) for table in tables)
     return {
         "jobs": first["jobs"],
-        "standing": [first["standing"], last.get("standing")],
+        "finished": [first["finished"], last.get("finished")],
         "error": last.get("error", "").replace(str(folder), "FOLDER"),
         "differing": differing(one, other),
         "left_over": left_over(tables[1], scenes),
@@ -225,7 +225,7 @@ def main() -> int:
     result = {"command": command, "protocol": protocol, **here_and_now(), "versions": VERSIONS, "seed": asked.seed}
     asked.out.write_text(json.dumps(result | found, indent=1) + "\n")
     wrong = found["differing"] or found["left_over"] or any(found["verify_exit_codes"])
-    return int(bool(wrong) or found["standing"][0] != found["standing"][1])
+    return int(bool(wrong) or found["finished"][0] != found["finished"][1])
 
 
 if __name__ == "__main__":

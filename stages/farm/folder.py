@@ -54,7 +54,7 @@ def copy_of(out: Path, key: str) -> Path:
     return farm_folder(out) / "manifests" / f"{key}.json"
 
 
-def standing(out: Path, jobs: Mapping[str, Job]) -> set[str]:
+def finished(out: Path, jobs: Mapping[str, Job]) -> set[str]:
     """Return the keys of the jobs whose artifacts stand; nothing is written."""
     return {key for key, job in jobs.items() if _stands(out, job)}
 
@@ -108,7 +108,7 @@ def write_jobs(table: Table, jobs: Mapping[str, Job], costs: Mapping[str, Cost],
 
 def failures(out: Path, jobs: Mapping[str, Job]) -> list[Failure]:
     """Return the jobs that do not stand although all that they wait for do, with the reason that they gave."""
-    there = standing(out, jobs)
+    there = finished(out, jobs)
     behind: dict[str, set[str]] = {}
     for key, job in jobs.items():  # each after those that it waits for
         if key not in there:

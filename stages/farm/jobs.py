@@ -57,7 +57,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Axes:
-    """Where a field stands in the table. style, method: empty for a fit. An edit is a style by method `edit`."""
+    """The place of a field in the table. style, method: empty for a fit. An edit is a style by method `edit`."""
 
     scene: str
     style: str

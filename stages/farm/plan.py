@@ -15,7 +15,7 @@ class PlannedRule:
 
     rule: str
     jobs: int
-    standing: int
+    finished: int
     seconds: float
     peak_mb: float
     disk_mb: float
@@ -42,21 +42,21 @@ class Plan:
     @property
     def to_do(self) -> int:
         """Jobs that do not stand yet."""
-        return sum(one.jobs - one.standing for one in self.rules)
+        return sum(one.jobs - one.finished for one in self.rules)
 
 
-def plan_of(jobs: Mapping[str, Job], costs: Mapping[str, Cost], standing: Collection[str], cores: int, threads: int
+def plan_of(jobs: Mapping[str, Job], costs: Mapping[str, Cost], finished: Collection[str], cores: int, threads: int
             ) -> Plan:  # fmt: skip
     """Plan the jobs that do not stand.
 
     Args:
         jobs: by key, each after those that it waits for.
         costs: by key.
-        standing: keys of the jobs that are done.
+        finished: keys of the jobs that are done.
         cores: that may be used at once.
         threads: of each job; with fewer cores than that, one job runs at a time.
     """
-    left = {key: job for key, job in jobs.items() if key not in standing}
+    left = {key: job for key, job in jobs.items() if key not in finished}
     chains: dict[str, float] = {}
     for key, job in left.items():
         chains[key] = costs[key].seconds + max((chains.get(one, 0.0) for one in job.after), default=0.0)

@@ -12,8 +12,8 @@ from stages.farm.engine import command_of, refuse_missing, run_engine
 from stages.farm.folder import (
     failures,
     farm_folder,
+    finished,
     forget_results,
-    standing,
     sweep_copies,
     write_jobs,
 )
@@ -45,7 +45,7 @@ class Farm:
 
     def plan(self, cores: int) -> Plan:
         """Plan what does not stand yet."""
-        there = standing(self.table.out, self.jobs)
+        there = finished(self.table.out, self.jobs)
         return plan_of(self.jobs, self.cost_of, there, cores, self.table.threads)
 
 
@@ -78,7 +78,7 @@ def run_table(
     quiet: bool = False,
     report: Callable[[], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Run what does not stand; return how many jobs stand and what failed.
+    """Run the jobs that are not finished; return how many are now, and what failed.
 
     Args:
         farm: the table and its jobs.
@@ -86,7 +86,7 @@ def run_table(
         cores, memory_mb: what jobs on this machine may use at once.
         no_paths: record files outside by name alone.
         quiet: drop what Snakemake says.
-        report: writes the report over what stands; not called in a dry run or if no field stands.
+        report: writes the report over the finished jobs; not called in a dry run or without any field.
 
     Raises:
         JobsFailed: a job failed. What does not wait for it was run, and the report written.
@@ -123,8 +123,8 @@ def _outcome(
     farm: Farm, config: FarmConfig, code: int, report: Callable[[], dict[str, Any]] | None
 ) -> dict[str, Any]:
     out = farm.table.out
-    there = standing(out, farm.jobs)
-    result: dict[str, Any] = {"table": farm.table.file, "out": out, "jobs": len(farm.jobs), "standing": len(there)}
+    there = finished(out, farm.jobs)
+    result: dict[str, Any] = {"table": farm.table.file, "out": out, "jobs": len(farm.jobs), "finished": len(there)}
     if config.dry_run:
         if code:
             raise UsageError(f"Snakemake refused the run (exit code {code}); its messages are above")

@@ -1,7 +1,7 @@
 """Matches of pairs of photos: COLMAP on one thread, in as many processes as there are threads to use.
 
 Run by several threads of one process, COLMAP 4.2 now and then loses matches of a pair, or all of them, and no two runs
-need agree: its linear algebra shares buffers between threads without locks. Processes share nothing.
+need agree; why is not known, but processes share nothing.
 
 `python -P -m stages.sfm.matching` is such a process: a batch of pairs per JSON line on stdin, a line on stdout when the
 batch is done. It ends when its stdin closes, that is when its parent ends or dies.

@@ -62,7 +62,7 @@ class Desk:
     ) -> None:
         self.library, self.painter, self.threads = library, painter, threads
         self.lock = threading.RLock()
-        self._said, self._changed, self._common = said, changed, common
+        self.said, self._changed, self._common = said, changed, common
         self.field = library.first_field()
         self.beside, self.wipe, self.plane, self.overlay = "", 0.5, "color", ""
         self.history = History()
@@ -216,8 +216,8 @@ class Desk:
 
         key = self.library.work.get("field", self.field).digest
         if key not in self._growers:
-            self._said("looking at the training views, once for this field; it takes some seconds")
-            self._growers = {key: Grower(self.library, self.field, self.threads, self._said)}
+            self.said("looking at the training views, once for this field; it takes some seconds")
+            self._growers = {key: Grower(self.library, self.field, self.threads, self.said)}
         return self._growers[key]
 
     @property

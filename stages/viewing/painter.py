@@ -58,7 +58,7 @@ class Painter:
         exact_pixels: of an exact picture.
         fps: pictures per second while the camera moves.
         clock: seconds; tests replace it.
-        failed: receives an error of the thread, which goes on.
+        failed: receives an error of the thread, which continues.
     """
 
     def __init__(

@@ -80,7 +80,7 @@ class Viewer:
             query = f"/?token={guard.token}" if guard.token else ""
             self.url = f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}{query}"
             self.page: Any = Page(self._server, desk)
-            desk._said = self.page.tell
+            desk.said = self.page.tell
             self._painter.start()
         except BaseException:
             self._lock.release()

@@ -25,7 +25,7 @@ def build(config: type, options: Mapping[str, Any], where: str, others: tuple[ty
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
-    """Return the plan, or how many jobs stand, what failed, and the report."""
+    """Return the plan, or how many jobs are finished, what failed, and the report."""
     from stages.farm.run import JobsFailed, farm_of, planned, run_table
     from stages.farm.table import TableFaults, read_table
     from stages.pipeline.resources import usable_threads
@@ -63,9 +63,9 @@ def run(args: Any, session: Session) -> dict[str, Any]:
             waiting = f" ({one['blocked']} jobs wait for it)" if one["blocked"] else ""
             session.say(f"{one['key']}: {one['why']}{waiting}")
         if "report" in error.details:
-            session.say(f"report on what stands: {error.details['report']['page']}")
+            session.say(f"report on the finished jobs: {error.details['report']['page']}")
         raise
-    words = [f"{result['standing']} of {result['jobs']} jobs stand in {result['out']}"]
+    words = [f"{result['finished']} of {result['jobs']} jobs finished in {result['out']}"]
     if "report" in result:
         words.append(f"report: {result['report']['page']}")
     return session.emit(result, words)
@@ -88,9 +88,9 @@ def plan_lines(plan: dict[str, Any]) -> list[str]:
     content = plan["plan"]
     lines = [f"{plan['to_do']} of {plan['jobs']} jobs to do in {plan['out']}:"]
     for rule in content["rules"]:
-        todo = rule["jobs"] - rule["standing"]
+        todo = rule["jobs"] - rule["finished"]
         cost = f"{_time(rule['seconds'])}, up to {rule['peak_mb']:.0f} MB each, {_size(rule['disk_mb'])} of disk"
-        lines.append(f"  {rule['rule']:<8} {todo:>6}" + (f"  {cost}" if todo else "  all stand"))
+        lines.append(f"  {rule['rule']:<8} {todo:>6}" + (f"  {cost}" if todo else "  all finished"))
     if plan["to_do"]:
         lines.append(
             f"about {_time(content['wall_seconds'])} on {content['cores']} cores, {content['threads']} threads a job; "

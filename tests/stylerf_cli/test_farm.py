@@ -74,7 +74,7 @@ def test_a_bad_scene_stops_only_what_needs_it_and_is_named(bench):
     assert ran.code == 1
     assert [one["key"] for one in ran.result["failed"]] == ["bad/scene/main"]
     assert "nowhere" in ran.result["failed"][0]["why"] and ran.result["failed"][0]["blocked"] == 12
-    assert ran.result["standing"] == 26 and "12 wait for them" in ran.result["error"]
+    assert ran.result["finished"] == 26 and "12 wait for them" in ran.result["error"]
 
 
 def test_what_was_refused_is_not_tried_again(bench):
@@ -101,7 +101,7 @@ def test_what_stands_is_not_run_again_and_what_is_deleted_is(bench):
     shutil.rmtree(bench.out / "scene0/field/style0-arf-s0")
     ran, commands = bench.commands_of()
     names = [argv[argv.index("--name") + 1] for argv in commands if "--name" in argv]
-    assert ran.result["standing"] == 26
+    assert ran.result["finished"] == 26
     assert names[0] == "style0-arf-s0" and set(names) <= {
         "style0-arf-s0", "style0-arf-s0-orbit", "style0-arf-s0-orbit-0-0", "style0-arf-s0-orbit-1-1",
     }  # fmt: skip

@@ -76,7 +76,7 @@ def _clip_axis(o, d, low, scale, t0, t1):
 
 @triton.jit
 def _clip_side(p, v, t1):
-    """End a ray at a plane above which its origin lies by p, and which it nears by -v per distance."""
+    """End a ray at a plane. p: height of its origin above the plane; v: change of that height along the ray."""
     nearing = v < -SMALLEST
     end = tl.where(nearing, tl.minimum(t1, -p / tl.where(nearing, v, 1.0)), t1)
     return tl.where((v < SMALLEST) & (p < 0.0), -1.0, end)

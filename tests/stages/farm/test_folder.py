@@ -8,7 +8,7 @@ import pytest
 from schemas.errors import UsageError
 from stages.configs.farm import FarmConfig
 from stages.farm.engine import HERE, SNAKEFILE, command_of
-from stages.farm.folder import copy_of, failures, farm_folder, standing, sweep_copies
+from stages.farm.folder import copy_of, failures, farm_folder, finished, sweep_copies
 from stages.farm.jobs import Job
 
 JOBS = {
@@ -31,9 +31,9 @@ def made(out: Path, key: str, text: str = "{}") -> None:
 def test_a_job_stands_while_its_artifact_is_the_one_that_it_made(tmp_path):
     made(tmp_path, "s/scene/main")
     made(tmp_path, "s/field/fit-s0")
-    assert standing(tmp_path, JOBS) == {"s/scene/main", "s/field/fit-s0"}
+    assert finished(tmp_path, JOBS) == {"s/scene/main", "s/field/fit-s0"}
     (tmp_path / JOBS["s/field/fit-s0"].manifest).write_text("made again")
-    assert standing(tmp_path, JOBS) == {"s/scene/main"}
+    assert finished(tmp_path, JOBS) == {"s/scene/main"}
     sweep_copies(tmp_path, JOBS)
     assert copy_of(tmp_path, "s/scene/main").exists() and not copy_of(tmp_path, "s/field/fit-s0").exists()
 

@@ -11,9 +11,9 @@ def job(name: str, *after: str, rule: str = "fit", **more: object) -> Job:
     return Job(rule, "s", "field", name, (), tuple(f"s/field/{one}" for one in after), **more)
 
 
-def planned(jobs: list[Job], seconds: dict[str, float], cores: int, standing=(), threads: int = 1):
+def planned(jobs: list[Job], seconds: dict[str, float], cores: int, finished=(), threads: int = 1):
     costs = {one.key: Cost(seconds[one.name], 100.0, 10.0) for one in jobs}
-    return plan_of({one.key: one for one in jobs}, costs, {f"s/field/{one}" for one in standing}, cores, threads)
+    return plan_of({one.key: one for one in jobs}, costs, {f"s/field/{one}" for one in finished}, cores, threads)
 
 
 CHAIN = [job("a"), job("b", "a"), job("c", "a"), job("d", "b", "c")]
@@ -27,7 +27,7 @@ def test_jobs_wait_for_cores_and_for_each_other(cores, wall):
 
 
 def test_what_stands_costs_nothing():
-    plan = planned(CHAIN, SECONDS, 1, standing=("a", "b"))
+    plan = planned(CHAIN, SECONDS, 1, finished=("a", "b"))
     assert (plan.to_do, plan.wall_seconds, plan.disk_mb) == (2, 35.0, 20.0)
 
 
@@ -36,7 +36,7 @@ def test_a_job_of_more_threads_than_cores_runs_alone():
 
 
 def test_nothing_to_do_takes_no_time():
-    assert planned(CHAIN, SECONDS, 2, standing="abcd").wall_seconds == 0.0
+    assert planned(CHAIN, SECONDS, 2, finished="abcd").wall_seconds == 0.0
 
 
 def test_a_budget_is_time_or_steps():
