@@ -47,20 +47,14 @@ def test_help_is_instant_and_imports_nothing_heavy():
     )
     times = []
     for _ in range(4):
-        begun = processor_time_of_children()
+        start = time.perf_counter()
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=REPOSITORY)
-        times.append(processor_time_of_children() - begun)
+        times.append(time.perf_counter() - start)
         assert done.returncode == 0, done.stderr
     for verb, (_, words) in SHIPPED.items():
         assert verb in done.stdout and words in done.stdout
-    # 0.2 s of a core of its own; twice that where another job shares the core.
+    # 0.2 s on an idle machine; twice that where other jobs share the cores.
     assert min(times) < 0.4
-
-
-def processor_time_of_children() -> float:
-    """Seconds, however busy the machine is."""
-    times = os.times()
-    return times.children_user + times.children_system
 
 
 LIGHT = {verb: {"torch"} for verb in ("compare", "show", "verify")}  # these read artifacts, which takes numpy
@@ -252,13 +246,13 @@ def test_ctrl_c_and_termination_end_with_130_and_the_same_command_resumes(tmp_pa
         [sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         cwd=REPOSITORY,
     )  # fmt: skip
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 20
     while not list(tmp_path.rglob("state.safetensors")) and time.monotonic() < deadline:
         time.sleep(0.02)
     requested = time.monotonic()
     child.send_signal(number)
-    out, err = child.communicate(timeout=60)
-    assert time.monotonic() - requested < 5 or os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+    out, err = child.communicate(timeout=10)
+    assert time.monotonic() - requested < 5
     assert (child.returncode, out) == (130, "")
     assert err.splitlines()[-1] == (f"stylerf: error: interrupted; rerun to resume: stylerf {' '.join(arguments)}")
     done = command(*arguments)

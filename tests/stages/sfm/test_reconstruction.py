@@ -153,7 +153,7 @@ def command(room, work):
     )  # fmt: skip
 
 
-def wait_for(condition, seconds=120.0):
+def wait_for(condition, seconds=30.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited too long"
@@ -177,9 +177,8 @@ def test_ctrl_c_ends_it_within_ten_seconds_and_leaves_what_is_done(room, tmp_pat
         wait_for((step / sign).exists)
         requested = time.monotonic()
         running.send_signal(signal.SIGINT)
-        _, errors = running.communicate(timeout=60)
-        # Where other jobs keep the machine busy the clock tells nothing.
-        assert time.monotonic() - requested < 10 or os.getloadavg()[0] > 2 * (os.cpu_count() or 1)
+        _, errors = running.communicate(timeout=15)
+        assert time.monotonic() - requested < 10
     assert running.returncode == 130 and "interrupted" in errors
     assert processes_of(work) == [] and (step / sign).exists()
 
@@ -191,7 +190,7 @@ def test_the_child_dies_with_its_parent(room, tmp_path):
         wait_for((work / "scene" / ".main.partial" / "checkpoint" / "sfm" / "copies").exists)
         assert len(processes_of(work)) > 1  # there is a child to die
         running.kill()
-    wait_for(lambda: not processes_of(work), 30)
+    wait_for(lambda: not processes_of(work), 10)
 
 
 def test_an_interrupted_import_goes_on(finished, room, tmp_path):
