@@ -17,7 +17,6 @@ FORMATS: dict[str, tuple[str, ...]] = {
 DEFAULT_FORMATS = {"mesh": 1, "splats": 1, "cameras": 2, "shot": 1}  # how many of them are written if none are named
 MOST_SPLATS = 5_000_000
 WITH_PHOTOS = ("transforms", "colmap", "colmap-text")  # formats that list the photos of their cameras
-_MESHES = ("mesh", "shot")
 _ALONG_PATHS = ("cameras", "shot")
 
 
@@ -38,6 +37,7 @@ class ExportConfig:
         help="cameras to export, as of render (default: views; orbit for a shot)", digest="path_digest",
     )  # fmt: skip
     path_digest: str = ""
+    geometry: str = option("mesh", choices=("mesh", "splats"), help="what the field is in a shot")
     count: int = option(60, help="number of frames of an orbit, spiral or interpolated path")
     fps: float = option(24.0, help="frames per second of camera paths")
     photos: bool = option(True, help="copy the scene's photos beside transforms.json and COLMAP models of its views")
@@ -69,6 +69,8 @@ class ExportConfig:
     def _idle(self) -> str:
         """Return the first option that is set, but has no effect on this kind of export; "" without one."""
         own = self.along in OWN_VIEWS
+        splats = self.kind == "splats" or (self.kind == "shot" and self.geometry == "splats")
+        mesh = self.kind == "mesh" or (self.kind == "shot" and not splats)
         usd = self.kind == "shot" or bool({"usd", "usda", "usdc"} & set(self.chosen))
         used = {
             "path": self.kind in _ALONG_PATHS,
@@ -76,9 +78,10 @@ class ExportConfig:
             "fps": self.kind == "shot" or bool({"camera-path", "chan", "usd"} & set(self.chosen)),
             "photos": self.kind == "cameras" and own and bool(set(WITH_PHOTOS) & set(self.chosen)),
             "meters_per_unit": usd,
-            "splats": self.kind == "splats",
-            "budget": self.kind == "splats",
-        } | dict.fromkeys(("faces", "resolution", "keep_pieces", "reach"), self.kind in _MESHES)
+            "geometry": self.kind == "shot",
+            "splats": splats,
+            "budget": splats,
+        } | dict.fromkeys(("faces", "resolution", "keep_pieces", "reach"), mesh)
         defaults: Any = ExportConfig.__dataclass_fields__
         idle = [name for name, there in used.items() if not there and getattr(self, name) != defaults[name].default]
         return ("--" + idle[0].replace("_", "-")) if idle else ""

@@ -1,27 +1,54 @@
-"""A whole shot as one USD file: the animated camera of a path and the field's mesh, y up."""
+"""A whole shot as one USD file: the animated camera of a path and the field as a mesh or splats, y up."""
+
+from collections.abc import Callable
+from typing import Any
 
 from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import scale_of
-from stages.exporting import usd_stage
+from stages.exporting import splat_usd, splats, usd_stage
 from stages.exporting.cameras import placed_cameras
 from stages.exporting.job import ExportedFile, ExportJob
 from stages.exporting.surface import surface_of
+from stylerf.splats.similarity import moved_gaussians
 
 
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the shot in every chosen format; return the files and the figures."""
     cameras = [camera for camera, _ in shots_along(job.scene, job.config.along, job.config.count)]
-    surface, bounds, files = surface_of(job), job.scene.bounds, []
+    colors, add_geometry, figures = _splats(job) if job.config.geometry == "splats" else _mesh(job)
+    bounds, files = job.scene.bounds, []
     for name in job.config.chosen:
         to = job.placed(
-            f"shot.{name}", "y", camera_axes="OpenGL", fps=job.config.fps, vertex_colors="linear Rec.709",
-            meters_per_unit=job.config.meters_per_unit,
+            f"shot.{name}", "y", camera_axes="OpenGL", fps=job.config.fps,
+            meters_per_unit=job.config.meters_per_unit, **colors,
         )  # fmt: skip
-        placed, scale = surface.placed(to), scale_of(to.file_from_scene)
+        scale = scale_of(to.file_from_scene)
         stage = usd_stage.new_stage(job.folder / to.path, job.config)
         usd_stage.add_camera(stage, placed_cameras(cameras, to), (bounds.near * scale, bounds.far * scale))
-        usd_stage.add_mesh(stage, placed.mesh.vertices, placed.mesh.faces, placed.normals, placed.linear_colors)
+        add_geometry(stage, to)
         usd_stage.save(stage)
         files.append(to)
-    mesh = surface.mesh
-    return files, {"cameras": len(cameras), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    return files, {"cameras": len(cameras), **figures}
+
+
+def _mesh(job: ExportJob) -> tuple[dict, Callable[[Any, ExportedFile], None], dict]:
+    """Return what the colors are, how the field's mesh is added to the stage of a file, and figures."""
+    surface = surface_of(job)
+
+    def add(stage: Any, to: ExportedFile) -> None:
+        placed = surface.placed(to)
+        usd_stage.add_mesh(stage, placed.mesh.vertices, placed.mesh.faces, placed.normals, placed.linear_colors)
+
+    figures = {"vertices": len(surface.mesh.vertices), "faces": len(surface.mesh.faces)}
+    return {"vertex_colors": "linear Rec.709"}, add, figures
+
+
+def _splats(job: ExportJob) -> tuple[dict, Callable[[Any, ExportedFile], None], dict]:
+    """Return the same for the field's splats."""
+    splat_usd.check_usd()  # before anything is computed
+    made, figures = splats.splats_of(job)
+
+    def add(stage: Any, to: ExportedFile) -> None:
+        splat_usd.add_splats(stage, moved_gaussians(made, to.file_from_scene))
+
+    return {"colors": splats.COLORS}, add, figures

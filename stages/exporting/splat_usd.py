@@ -1,6 +1,7 @@
 """Splats as USD's ParticleField3DGaussianSplat (OpenUSD 26.03): linear scales, opacities 0..1, y up."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,19 +16,27 @@ REACH = 3.0  # standard deviations that the extent encloses
 
 
 def write_usd(path: Path, splats: Gaussians, config: ExportConfig) -> None:
-    """Write a stage with one prim of splats.
+    """Write a stage with one prim of splats."""
+    check_usd()
+    stage = usd_stage.new_stage(path, config)
+    add_splats(stage, splats)
+    usd_stage.save(stage)
 
-    Raises:
-        UsageError: the installed OpenUSD has no such prim.
-    """
-    volumes, vt, usd = needed("pxr.UsdVol", "USD"), needed("pxr.Vt", "USD"), needed("pxr.Usd", "USD")
+
+def check_usd() -> None:
+    """Raise UsageError if the installed OpenUSD has no prim for splats."""
+    volumes, usd = needed("pxr.UsdVol", "USD"), needed("pxr.Usd", "USD")
     if not hasattr(volumes, "ParticleField3DGaussianSplat"):
         year, month = usd.GetVersion()[1:]
         raise UsageError(
             f"USD splats need OpenUSD 26.03 or later, this is {year}.{month:02}; pip install -U usd-core, or choose "
-            "--format ply"
+            "another format"
         )
-    stage = usd_stage.new_stage(path, config)
+
+
+def add_splats(stage: Any, splats: Gaussians) -> None:
+    """Add a prim of splats, which are in the coordinates of the stage."""
+    volumes, vt = needed("pxr.UsdVol", "USD"), needed("pxr.Vt", "USD")
     prim = volumes.ParticleField3DGaussianSplat.Define(stage, SPLATS)
 
     def floats(values: np.ndarray, kind: str):
@@ -46,4 +55,3 @@ def write_usd(path: Path, splats: Gaussians, config: ExportConfig) -> None:
     prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(floats(splats.harmonics.reshape(-1, 3), "Vec3fArray"))
     low, high = (splats.centers - reach).min(0), (splats.centers + reach).max(0)
     prim.CreateExtentAttr(floats(np.stack([low, high]), "Vec3fArray"))
-    usd_stage.save(stage)

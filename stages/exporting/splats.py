@@ -28,6 +28,7 @@ from stylerf.splats.similarity import moved_gaussians
 from stylerf.splats.surface_points import SurfacePoints, picture_and_points
 from stylerf.splats.views import views_to_learn
 
+COLORS = "spherical harmonics of sRGB-encoded, display-referred colors"
 NEAR = 0.05  # of the scene's nearest depth: centers nearer to a camera are not drawn
 FARTHEST = 30.0  # of the scene's farthest depth: where the opaque background of a capture is put
 VIEW_TIME = 0.3  # of a budget of time, for rendering the views to learn from
@@ -47,6 +48,12 @@ class _View:
 
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the splats in every chosen format; return the files and the figures."""
+    splats, figures = splats_of(job)
+    return [_written(job, name, splats) for name in job.config.chosen], figures
+
+
+def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
+    """Return the field's splats, in scene units, and the figures of their making."""
     if job.context.device == "cuda":
         job.say("splats are optimized on the CPU: they have no GPU kernels")
     began = time.monotonic()
@@ -63,7 +70,6 @@ def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     seconds = time.monotonic() - began
     if not (len(splats.centers) and all(np.isfinite(values).all() for values in splats)):
         raise BadInput(f"{job.inputs['field'].path}: its splats have no finite size; export it with --budget 1")
-    files = [_written(job, name, splats) for name in job.config.chosen]
     figures = {
         "splats": len(splats.centers),
         "placed": len(start.centers),
@@ -72,7 +78,7 @@ def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
         "steps": optimizer.steps,
         "optimize_seconds": round(seconds, 2),
     }
-    return files, figures | _measured(job, splats)
+    return splats, figures | _measured(job, splats)
 
 
 def _pictures(job: ExportJob) -> tuple[list[_View], SurfacePoints]:
@@ -160,8 +166,7 @@ def _over(rgb: np.ndarray, alpha: np.ndarray, level: float) -> np.ndarray:
 def _written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
     """Write one format. PLY keeps the axes of the units, as 3DGS does; in the other formats y is up."""
     up = "" if name == "ply" else "y"
-    notes = {"colors": "spherical harmonics of sRGB-encoded, display-referred colors"}
-    to = job.placed(f"splats.{name}", up, **notes)
+    to = job.placed(f"splats.{name}", up, colors=COLORS)
     path: Path = job.folder / to.path
     placed = moved_gaussians(splats, to.file_from_scene)
     if name == "ply":

@@ -161,6 +161,25 @@ def test_a_shot_holds_camera_and_mesh_and_complies(inputs, made, tmp_path, forma
         assert depth > 0 and 0 < pixel[0, 0] < camera.width and 0 < pixel[0, 1] < camera.height
 
 
+def test_a_shot_of_splats_holds_the_splats_of_the_field_where_its_mesh_is(inputs, made, tmp_path):
+    from pxr import Usd, UsdVol
+
+    if not hasattr(UsdVol, "ParticleField3DGaussianSplat"):
+        pytest.skip("the installed OpenUSD has no prim for splats")
+    shot = exported(
+        tmp_path, inputs, kind="shot", geometry="splats", count=4, formats="usda", splats=2000, budget="2"
+    )
+    path = shot.path / "shot.usda"
+    assert complaints(path) == []
+    stage = Usd.Stage.Open(str(path))
+    assert not stage.GetPrimAtPath("/shot/mesh")
+    centers = np.array(UsdVol.ParticleField3DGaussianSplat.Get(stage, "/shot/splats").GetPositionsAttr().Get())
+    assert len(centers) == shot.manifest.figures["splats"] > 500
+    surface, *_ = read_glb(made.path / "mesh.glb")
+    np.testing.assert_allclose(np.median(centers, 0), np.median(surface, 0), atol=0.1 * np.ptp(surface))
+    assert len(read_cameras(path, load_scene(inputs["scene"])).cameras) == 4
+
+
 def test_a_field_of_nothing_is_refused(inputs, tmp_path):
     work = WorkFolder(tmp_path / "work")
     field = solid(lambda points: np.full(len(points), 9.0), SpaceWarp.box([-1, -1, -1], [1, 1, 1]), 16)
@@ -183,7 +202,8 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(inputs, tm
         {"formats": "usdc"}, {"formats": "glb,glb"}, {"path": "orbit"}, {"fps": 25.0}, {"photos": False},
         {"kind": "cameras", "faces": 500}, {"kind": "cameras", "count": 9}, {"kind": "cameras", "reach": 2.0},
         {"kind": "cameras", "formats": "chan", "photos": False}, {"kind": "cameras", "meters_per_unit": 0.1},
-        {"faces": 3}, {"resolution": 4096}, {"reach": 1.0}, {"kind": "shot", "photos": False},
+        {"faces": 3}, {"resolution": 4096}, {"reach": 1.0}, {"kind": "shot", "photos": False}, {"geometry": "splats"},
+        {"kind": "shot", "splats": 500}, {"kind": "shot", "geometry": "splats", "faces": 500},
     ],
 )  # fmt: skip
 def test_options_that_make_no_sense_are_refused(options):
