@@ -1,4 +1,4 @@
-# `make check` runs what .ci/run runs beside the tests; BIN=.venv-test/bin/ takes the tools of a venv.
+# `make check` runs what .ci/run runs before the tests; BIN=.venv-test/bin/ takes the tools of a venv.
 BIN ?=
 
 .PHONY: check
