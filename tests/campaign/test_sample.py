@@ -1,4 +1,4 @@
-"""A small sample of the campaign: some kills, failing calls, mutants and a crowd, on two stages."""
+"""A small sample of the campaign: some kills, failing calls, mutants and a crowd, on an import."""
 
 import json
 import os
@@ -11,7 +11,6 @@ from tests.campaign import crowds, faults, kills, pool, readers
 from tests.campaign.ground import machine_of_strace, prepared
 from tests.stylerf_cli.nursery import REPOSITORY, Nursery
 
-STAGES = ("import", "fit")
 SLOW = ("photo without poses", "report, resealed", "frames, resealed", "frames.json, resealed")
 BASES = ("captures", "loose", "made", "scene")
 QUICK = [one.name for one in readers.CASES if one.base.partition("/")[0] in BASES and one.name not in SLOW]
@@ -28,26 +27,25 @@ def nursery():
 def ground(nursery):
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(dir=place) as folder:
-        yield prepared(Path(folder), nursery, STAGES, plain=True)
+        yield prepared(Path(folder), nursery, ["import"], plain=True)
 
 
 @pytest.fixture(scope="module")
-def wholes(ground, nursery):
-    strace = machine_of_strace()
-    return {name: kills.undisturbed(nursery, ground, ground.stages[name], strace) for name in STAGES}
+def whole(ground, nursery):
+    return kills.undisturbed(nursery, ground, ground.stages["import"], machine_of_strace())
 
 
-@pytest.mark.parametrize(("name", "by_call"), [("import", True), ("fit", False)])
-def test_a_killed_command_breaks_nothing_and_its_rerun_ends_the_same(ground, nursery, wholes, name, by_call):
-    if by_call and not wholes[name].calls:
+def test_a_command_killed_at_a_call_breaks_nothing_and_its_rerun_ends_the_same(ground, nursery, whole):
+    """At moments of its time stages are killed in tests/stylerf_cli/test_killed.py."""
+    if not whole.calls:
         pytest.skip("strace is missing or may not inject")
-    reported = kills.trial(nursery, ground, ground.stages[name], wholes[name], f"sample/{name}", by_call)
-    assert reported["fault"] == "" and (reported["kills"] or not by_call), reported
+    reported = kills.trial(nursery, ground, ground.stages["import"], whole, "sample/import", by_call=True)
+    assert reported["fault"] == "" and reported["kills"], reported
 
 
 @pytest.mark.parametrize("kind", ["full disk", "input/output error"])
-def test_a_failing_disk_is_reported_and_the_rerun_succeeds(ground, nursery, wholes, kind):
-    reported = faults.trial(nursery, ground, ground.stages["import"], wholes["import"], kind, f"sample/{kind}")
+def test_a_failing_disk_is_reported_and_the_rerun_succeeds(ground, nursery, whole, kind):
+    reported = faults.trial(nursery, ground, ground.stages["import"], whole, kind, f"sample/{kind}")
     assert reported["fault"] == "", reported
 
 

@@ -136,5 +136,3 @@ def test_two_clips_become_one_scene(walk, tmp_path):
     assert any("structure from motion of 16 frames" in line for line in said.lines)
     assert len(scene.views) >= 14
     assert {view.source[:4] for view in scene.views} == {"0-a-", "1-b-"}
-    again = scene_of(imported(source, tmp_path / "w2", frames=16))
-    assert again == scene
