@@ -49,7 +49,7 @@ class StylizeConfig:
     )
     diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
     structure_weight: float = option(
-        -1.0, help="weight of the photo's edges that are missing (-1: 3; nearest, gram, refnpr, deformed objects: 0)"
+        -1.0, help="weight of the photo's edges that are missing (-1: 4; nearest, gram, refnpr, deformed objects: 0)"
     )
     stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
     rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
@@ -178,6 +178,9 @@ class ArfConfig(StylizeConfig):
         choices=("auto", "full", "deferred", "dilated", "random", "patch"),
         help="rays of a view that receive gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
+    detail_rate: float = advanced(
+        0.1, GRID, help="learning rate of its finest level, relative to levels five times as coarse or more"
+    )
     dilation: int = advanced(2, RAYS, help="dilated: every Nth ray in both axes; random, patch: as few rays")
     blur: int = advanced(
         0, RAYS, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)"
@@ -186,6 +189,8 @@ class ArfConfig(StylizeConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if not 0 < self.detail_rate <= 1:
+            raise ValueError("detail_rate must be over 0 and at most 1")
         if self.dilation < 1:
             raise ValueError("dilation must be at least 1")
         if self.blur < 0 or (self.blur > 0 and self.blur % 2 == 0):
@@ -198,7 +203,9 @@ class DesrfConfig(ArfConfig):
 
     method: str = option("desrf", choices=METHODS, help="desrf: colors and shapes")
     bend: float = option(1.0, help="how far shapes bend, 0.25 to 4: at 2 twice as far as at 1")
-    deform_rate: float = advanced(2.4e-2, SHAPES, help="learning rate of the deformation")
+    deform_rate: float = advanced(
+        -1.0, SHAPES, help="learning rate of the deformation (-1: 0.06; of objects 0.024)"
+    )
     displacement_weight: float = advanced(0.0, SHAPES, help="weight of the displacement's root mean square")
     displacement_vertices: int = advanced(32, SHAPES, help="vertices per side of the deformation's grid")
 
@@ -206,8 +213,8 @@ class DesrfConfig(ArfConfig):
         super().__post_init__()
         if not 0.25 <= self.bend <= 4:
             raise ValueError("bend must be 0.25 to 4")
-        if self.deform_rate <= 0 or not 4 <= self.displacement_vertices <= 128:
-            raise ValueError("deform_rate must be > 0, displacement_vertices 4 to 128")
+        if not (self.deform_rate > 0 or self.deform_rate == -1) or not 4 <= self.displacement_vertices <= 128:
+            raise ValueError("deform_rate must be > 0 (or -1: by scene), displacement_vertices 4 to 128")
         if self.displacement_weight < 0:
             raise ValueError("displacement_weight must be at least 0")
 
@@ -255,6 +262,9 @@ class RefNprConfig(ArfConfig):
     )
     reference_view: str = option(
         "", help="view to make a reference of (default: the one that sees most of what the others see)"
+    )
+    detail_rate: float = advanced(
+        1.0, GRID, help="learning rate of its finest level, relative to levels five times as coarse or more"
     )
     reference_steps: int = advanced(60, REFERENCE, help="steps of its pixels, at most a third of the budget")
     image_rate: float = advanced(0.03, REFERENCE, help="learning rate of its pixels")

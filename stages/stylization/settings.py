@@ -34,12 +34,13 @@ FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
 DEFAULTS = {
-    "transport": {"content_weight": 0.005, "color_weight": 1.0, "structure_weight": 3.0, "coarse": 0.5},
+    "transport": {"content_weight": 0.005, "color_weight": 1.0, "structure_weight": 4.0, "coarse": 0.5},
     "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
     "gram": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
 }
 # Largest change of a displacement per distance, times --bend: 1 would fold space.
 SLOPE, STEEPEST = 0.7, 0.9
+DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose silhouettes bend them sooner
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
 DEFORMED_CAPTURE = {"structure_weight": 1.0}  # edges that may not move do not bend (decision 0050)
@@ -178,6 +179,7 @@ def settings_of(
         own["strategy"] = strategy_of(config, long_side)
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
+        own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
         weights = StyleWeights(

@@ -64,19 +64,29 @@ class Deformation:
         scaled = p[:, None] * (math.pi * 2.0 ** torch.arange(self.frequencies, dtype=p.dtype))[:, None]
         return torch.cat([p, torch.cat([scaled.sin(), scaled.cos()], -1).flatten(1)], 1)
 
+    @property
+    def last(self) -> int:
+        """Number of values of the last layer: weights [3, width], then biases [3]."""
+        return 3 * (self.width + 1)
+
     def network(self, encoded: "Tensor", values: "Tensor") -> "Tensor":
         """Return D [n, 3], cube units, of encoded positions [n, 3 + 6 frequencies], with the weights `values`."""
+        return self.moved(self.hidden(encoded, values), values[-self.last :])
+
+    def hidden(self, encoded: "Tensor", values: "Tensor") -> "Tensor":
+        """Return the outputs of the layer before the last, [n, width]."""
+        out, at = encoded, 0
+        for inside, outside in self._layers()[:-1]:
+            end = at + (inside + 1) * outside
+            out = _linear(out, values[at:end], outside).relu()
+            at = end
+        return out
+
+    def moved(self, hidden: "Tensor", last: "Tensor") -> "Tensor":
+        """Return D [n, 3], cube units, from the outputs of the layer before the last, with its values `last`."""
         import torch
 
-        out, at = encoded, 0
-        layers = self._layers()
-        for number, (inside, outside) in enumerate(layers):
-            weight = values[at : at + inside * outside].view(outside, inside)
-            bias = values[at + inside * outside : at + (inside + 1) * outside]
-            out = torch.nn.functional.linear(out, weight, bias)
-            out = out.relu() if number + 1 < len(layers) else out
-            at += (inside + 1) * outside
-        return self.reach * torch.tanh((0.5 * SCALE / self.reach) * out)
+        return self.reach * torch.tanh((0.5 * SCALE / self.reach) * _linear(hidden, last, 3))
 
     def describe(self) -> dict:
         return {"kind": "mlp", "frequencies": self.frequencies, "width": self.width, "reach": self.reach}
@@ -88,6 +98,13 @@ class Deformation:
         # Deformations written before bends had a size have none.
         reach = validation.number(data, "reach", 1e-3, 1.0) if "reach" in data else FARTHEST
         return cls(frequencies, width, values, reach)
+
+
+def _linear(x: "Tensor", values: "Tensor", outside: int) -> "Tensor":
+    """x W^T + b; values: W [outside, inside], then b [outside]."""
+    import torch
+
+    return torch.nn.functional.linear(x, values[:-outside].view(outside, -1), values[-outside:])
 
 
 def _layers(frequencies: int, width: int) -> list[tuple[int, int]]:

@@ -222,11 +222,17 @@ class HashFeatures(TableFeatures):
         return cls(Levels.restore(data, ROW))
 
 
+DETAIL = 5.0  # widths of a cell of the finest level: from here on levels learn more slowly, see HashColor
+
+
 class HashColor:
     """Color sigmoid(f[0:3] + f[3]), f the sum of all levels' interpolated values. values: the levels' tables.
 
     It does not depend on the view and has fine local detail. levels of `base` to `finest` cells per side; table: most
     vertices of a level, a power of two.
+
+    Attributes:
+        detail_rate: learning rate of the finest level, relative to levels of cells DETAIL times as wide or wider.
     """
 
     kind = "hash"
@@ -237,7 +243,7 @@ class HashColor:
         if len(values) != self.grid.length:
             raise InvalidValue(f"hash color: {len(values)} values where {self.grid.length} were expected")
         self.levels, self.base, self.finest, self.table = self.grid.count, int(base), int(finest), int(table)
-        self.values, self.layout = values, self.grid.layout()
+        self.values, self.layout, self.detail_rate = values, self.grid.layout(), 1.0
         self._shape = (np.int8(0),) * self.levels
 
     @classmethod
@@ -249,7 +255,12 @@ class HashColor:
         return cls(levels, base, finest, table, generator.uniform(-1e-2, 1e-2, count).astype(np.float32))
 
     def groups(self) -> list[tuple[int, int, float]]:
-        return [(0, len(self.values), 1.0)]
+        if self.detail_rate == 1:
+            return [(0, len(self.values), 1.0)]
+        power = np.log(self.detail_rate) / np.log(DETAIL)
+        rates = [max(1.0, cells * DETAIL / self.finest) ** power for cells in self.grid.cells]
+        firsts = self.grid.firsts
+        return [(int(firsts[i]), int(firsts[i + 1]), float(rate)) for i, rate in enumerate(rates)]
 
     def colors(self, points: ShadingPoints, basis, threads: int, arena: ScratchArena | None = None) -> np.ndarray:
         out = empty_array((len(points.x), 3), arena)

@@ -32,8 +32,7 @@ from stylerf.training.deform.bending import Extension, folding
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
-# Weights of what keeps a bent scene whole (bending.folding) and in its place, relative to the loss's own gradient.
-FOLDING, DRIFT = 10.0, 1.0
+FOLDING = 10.0  # weight of what keeps a bent scene whole (bending.folding), relative to the loss's own gradient
 HIDDEN_RATE = 0.1  # relative to the last layer's
 Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 
@@ -42,8 +41,15 @@ class GridDeformer(ABC, Generic[Buffer]):
     """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
     The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
-    as those nearby (bending.Extension). gradient_clip: of the network, see Adam. gradients: where backward() adds
-    dL/dD.
+    as those nearby (bending.Extension).
+
+    Attributes:
+        gradient_clip: Of the network, see Adam.
+        anchored: The last layer alone learns, and not to slide: its biases follow its weights so that D, but for the
+            bound, has the same mean as before. Where a loss hardly cares for shapes, as that of a style does in a
+            capture, hidden units would be driven below zero one by one, and the whole scene would slide (decision
+            0053).
+        gradients: Where backward() adds dL/dD.
     """
 
     device = torch.device("cpu")  # of the network
@@ -60,9 +66,12 @@ class GridDeformer(ABC, Generic[Buffer]):
         seed: int,
         threads: int,
         gradient_clip: float = 0.0,
+        anchored: bool = False,
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
-        self.gradient_clip = gradient_clip
+        self.gradient_clip, self.anchored = gradient_clip, anchored
+        self._learning = deformation.last if anchored else len(deformation.values)  # values, the network's last
+        self._hidden: Tensor | None = None  # [active, width], of hidden layers that stay
         self.taken = 0
         at_rest(field)
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
@@ -110,15 +119,20 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     def bake(self) -> None:
         """Evaluate the network and write the grid that rays read."""
-        self._values = torch.as_tensor(self.adam.values).detach().requires_grad_()
-        self._moved = self.deformation.network(self._encoded, self._values)
+        values = torch.as_tensor(self.adam.values).detach()
+        if self.anchored:
+            self._hidden = self.deformation.hidden(self._encoded, values) if self._hidden is None else self._hidden
+            self._values = values[-self._learning :].clone().requires_grad_()
+            self._moved = self.deformation.moved(self._hidden, self._values)
+        else:
+            self._values = values.requires_grad_()
+            self._moved = self.deformation.network(self._encoded, self._values)
         self._grid.copy_(self._extension.spread(self._moved.detach()))
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0, max_slope: float = 0.0) -> float:
         """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
 
-        max_slope: displacements that change faster than this, per distance, are held back, and so is a drift of the
-        whole scene (0: neither is).
+        max_slope: displacements that change faster than this, per distance, are held back (0: none are).
         |D|: root mean square displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
@@ -135,22 +149,36 @@ class GridDeformer(ABC, Generic[Buffer]):
             # As parts of the loss these would need a weight for each scene and style image.
             (whole,) = torch.autograd.grad(self._moved, self._values, self._whole_gradient(max_slope))
             found = found + found.norm() * whole
-        torch.as_tensor(self.adam.gradients).view(-1).add_(found)
-        self.adam.step(rate)
+        torch.as_tensor(self.adam.gradients).view(-1)[-self._learning :].add_(found)
+        self._learn(rate)
         self.taken += 1
         self.bake()
         if self.taken % REFRESH_EVERY == 0:
             self.look()
         return self._number(size.detach())
 
+    def _learn(self, rate: float) -> None:
+        """Take the optimizer's step; if anchored, with the mean of D in its place."""
+        if self._hidden is None:
+            return self.adam.step(rate)
+        last = self.deformation.last
+        values, mean = torch.as_tensor(self.adam.values)[-last:], self._hidden.mean(0)
+        weights, biases = values[:-3].view(3, -1), values[-3:]
+        gradients = torch.as_tensor(self.adam.gradients).view(-1)[-last:]
+        # With b = -W mean(h), dL/dW is that of W (h - mean(h)).
+        gradients[:-3].view(3, -1).sub_(torch.outer(gradients[-3:], mean))
+        gradients[-3:] = 0
+        before = weights.clone()
+        self.adam.step(rate)
+        biases.sub_((weights - before) @ mean)
+
     def _whole_gradient(self, max_slope: float) -> Tensor:
-        """d/dD of the penalty of slopes beyond `max_slope` and of the mean displacement, which no picture needs."""
-        m, moved = self.vertices, self._moved.detach()
-        grid = self._extension.spread(moved).requires_grad_()
+        """d/dD of the penalty of slopes beyond `max_slope`."""
+        m = self.vertices
+        grid = self._extension.spread(self._moved.detach()).requires_grad_()
         penalty = FOLDING * folding(grid.view(m, m, m, 3), self._extension.close, max_slope)
         # By hand through the extension: autograd adds the gradients of gathered rows one by one, in half a second.
-        gradient = self._extension.gathered(torch.autograd.grad(penalty, grid)[0])
-        return gradient + (2 * DRIFT / self.deformation.reach**2 / len(moved)) * moved.mean(0)
+        return self._extension.gathered(torch.autograd.grad(penalty, grid)[0])
 
     def _variation(self) -> Tensor:
         m, moved = self.vertices, 2 * self._moved
@@ -172,6 +200,7 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     def _set(self, values: np.ndarray) -> None:
         torch.as_tensor(self.adam.values).copy_(torch.from_numpy(np.array(values, np.float32)))
+        self._hidden = None
         self.bake()
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -194,7 +223,7 @@ class Deformer(GridDeformer[np.ndarray]):
     def _prepare(self, threads: int) -> None:
         self._grid = torch.from_numpy(self.grid).view(-1, 3)
         self.gradients = np.zeros((threads, 3 * self.vertices**3), np.float32)
-        self.adam = Adam(self.deformation.values, rates_of(self.deformation), 1, self.gradient_clip)
+        self.adam = Adam(self.deformation.values, rates_of(self.deformation, self.anchored), 1, self.gradient_clip)
 
     def _gathered(self) -> Tensor:
         return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
@@ -217,14 +246,15 @@ class Deformer(GridDeformer[np.ndarray]):
 AnyDeformer = GridDeformer[np.ndarray] | GridDeformer[Tensor]
 
 
-def rates_of(deformation: Deformation) -> list[tuple[int, int, float]]:
-    """Return the (begin, end, factor) of the learning rate of the hidden layers and of the last.
+def rates_of(deformation: Deformation, anchored: bool) -> list[tuple[int, int, float]]:
+    """Return the (begin, end, factor) of the learning rates: of the hidden layers and the last, or its weights alone.
 
     Adam moves all weights of a unit by about the rate; at the last layer's rate a few steps in one direction would put
     every hidden unit below zero for good, and nothing would bend any more.
     """
-    end, last = len(deformation.values), 3 * (deformation.width + 1)
-    return [(0, end - last, HIDDEN_RATE), (end - last, end, 1.0)]
+    end = len(deformation.values)
+    begin = end - deformation.last
+    return [(begin, end - 3, 1.0)] if anchored else [(0, begin, HIDDEN_RATE), (begin, end, 1.0)]
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:

@@ -41,11 +41,12 @@ class GpuDeformer(GridDeformer[Tensor]):
         seed: int,
         threads: int,
         gradient_clip: float = 0.0,
+        anchored: bool = False,
         *,
         device: torch.device,
     ) -> None:
         self.device = device
-        super().__init__(field, deformation, cameras, vertices, seed, threads, gradient_clip)
+        super().__init__(field, deformation, cameras, vertices, seed, threads, gradient_clip, anchored)
         self.collect()
 
     def _prepare(self, threads: int) -> None:
@@ -55,7 +56,7 @@ class GpuDeformer(GridDeformer[Tensor]):
         self._at_rest = torch.from_numpy(self.rest.distances).to(self.device)
         self.gradients = torch.zeros(3 * self.vertices**3, device=self.device)
         values = torch.from_numpy(self.deformation.values).to(self.device, copy=True)
-        self.adam = GpuAdam(values, rates_of(self.deformation), self.gradient_clip)
+        self.adam = GpuAdam(values, rates_of(self.deformation, self.anchored), self.gradient_clip)
         self._sizes = self._no_sizes()
         self._brought: Tensor | None = None
 

@@ -18,6 +18,7 @@ from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
@@ -35,7 +36,7 @@ from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
-from stylerf.training.stylize.settings import DesrfSettings, ImageStyleSettings, StyleSettings, StyleState
+from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings, StyleSettings, StyleState
 
 COLOR, FINEST = "color", "finest"  # arrays of a checkpoint: the new color's values, cells of its finest level
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
@@ -235,8 +236,8 @@ class StyledScene(Generic[Settings_co]):
         at_rest(self.field)  # at the step that its densities were fitted with
         # A march costs by its samples, and its step cannot change later: colors are learned where it samples them.
         self.field.step = max(self.field.step, COARSEST_STEP)
-        vertices, clip = settings.displacement_vertices, settings.gradient_clip
-        return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip)
+        vertices, clip, anchored = settings.displacement_vertices, settings.gradient_clip, True
+        return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip, anchored)
 
     def _fixed_geometry(self) -> Surfaces:
         # A snapshot of the shapes; the color keeps training.
@@ -247,6 +248,9 @@ class StyledScene(Generic[Settings_co]):
 
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
+        color = self.field.color.own if isinstance(self.field.color, RegionColor) else self.field.color
+        if self.state.phase != "refit" and isinstance(self.settings, ArfSettings) and isinstance(color, HashColor):
+            color.detail_rate = self.settings.detail_rate  # the refit learns the photos' detail in full
         return self.fixed.new_adam(self.settings.gradient_clip)
 
     def collect(self) -> None:

@@ -81,13 +81,19 @@ class ImageStyleSettings(StyleSettings):
 
 @dataclass(frozen=True)
 class ArfSettings(ImageStyleSettings):
-    """ARF. strategy, dilation, blur: see rendering/ray_selection.py. remember: take unselected pixels from the view's
-    last render."""
+    """ARF.
+
+    Attributes:
+        strategy, dilation, blur: See rendering/ray_selection.py.
+        remember: Take unselected pixels from the view's last render.
+        detail_rate: See HashColor; of the style steps.
+    """
 
     strategy: str = "deferred"
     dilation: int = 2
     blur: int = 0
     remember: bool = True
+    detail_rate: float = 1.0
 
 
 @dataclass(frozen=True)

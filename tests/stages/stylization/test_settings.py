@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stages.configs.stylize import COLOR_CELLS, CONFIGS, ArfConfig
+from stages.configs.stylize import COLOR_CELLS, CONFIGS, ArfConfig, DesrfConfig
 from stages.stylization.settings import new_color, settings_of, strategy_of
 
 
@@ -61,10 +61,10 @@ def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
 @pytest.mark.parametrize(
     ("method", "options", "structure", "scale"),
     [
-        ("arf", {}, 3.0, 512 / 800),
+        ("arf", {}, 4.0, 512 / 800),
         ("arf", {"match_by": "nearest"}, 0.0, 0.5),
         ("snerf", {}, 0.0, 0.5),
-        ("refnpr", {}, 3.0, 512 / 800),
+        ("refnpr", {}, 4.0, 512 / 800),
         ("arf", {"structure_weight": 1.0, "feature_scale": 0.25}, 1.0, 0.25),
     ],
 )
@@ -73,6 +73,12 @@ def test_how_images_are_compared_decides_on_edges_and_size(method, options, stru
     assert (found.weights.structure, found.feature_scale) == (structure, scale)
     if method == "refnpr":  # a view follows its reference, not the photo's edges
         assert found.reference_feature_weights.structure == 0
+
+
+def test_shapes_of_captures_learn_faster_than_those_of_objects_unless_told():
+    rates = [settings_of(DesrfConfig(style="x"), 800, capture).deform_rate for capture in (True, False)]
+    assert rates == [0.06, 0.024]
+    assert settings_of(DesrfConfig(style="x", deform_rate=0.01), 800, True).deform_rate == 0.01
 
 
 @pytest.mark.parametrize(

@@ -113,15 +113,45 @@ def test_slopes_are_held_back_however_hard_the_loss_pulls(scene):
     assert steepest[0.0] > 1.5 and 0.3 < steepest[0.4] < 0.9, steepest
 
 
-def test_a_scene_that_is_pulled_as_a_whole_stays_where_it_is(scene):
+def test_an_anchored_scene_that_is_pulled_as_a_whole_stays_where_it_is(scene):
     moved = {}
-    for max_slope in (0.0, 0.7):
-        deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1)
+    for anchored in (False, True):
+        deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1, anchored=anchored)
         for _ in range(100):
             deformer.gradients[0] = -1.0
-            deformer.step(1e-2, 0.0, max_slope=max_slope)
-        moved[max_slope] = float(deformer._moved.detach().mean(0).abs().max())
-    assert moved[0.0] > 0.035 and moved[0.7] < 0.02
+            deformer.step(1e-2, 0.0)
+        moved[anchored] = float(deformer._moved.detach().mean(0).abs().max())
+    assert moved[False] > 0.035 and moved[True] < 0.2 * moved[False]  # not 0: a hyperbolic tangent bounds D
+
+
+def test_an_anchored_scene_bends_and_keeps_its_hidden_layers_and_its_place(scene):
+    """Its halves are pulled apart, and both along x, which would slide it."""
+    deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1, anchored=True)
+    before, hidden = deformer.values(), len(deformer.deformation.values) - deformer.deformation.last
+    pull = np.full((8, 8, 8, 3), -1.0, np.float32)
+    pull[:4, ..., 1], pull[4:, ..., 1] = 1, -1
+    for _ in range(20):
+        deformer.gradients[0] = pull.ravel()
+        deformer.step(1e-2, 0.0)
+    np.testing.assert_array_equal(deformer.values()[:hidden], before[:hidden])
+    moved = deformer._moved.detach().numpy()
+    assert np.ptp(moved[:, 1]) > 0.02 and np.abs(moved.mean(0)).max() < 0.05 * np.ptp(moved[:, 1])
+
+
+def test_an_anchored_scene_is_resumed_where_it_was(scene):
+    """Where a stylization goes on, biases follow the weights from where they were."""
+    pull = np.random.default_rng(5).normal(size=8**3 * 3).astype(np.float32)
+
+    def taught(deformer: Deformer) -> Deformer:
+        for _ in range(5):
+            deformer.gradients[0] = pull
+            deformer.step(1e-2, 0.0)
+        return deformer
+
+    first = taught(Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1, anchored=True))
+    again = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1, anchored=True)
+    again.restore({name: np.array(values, copy=True) for name, values in first.arrays().items()})
+    np.testing.assert_array_equal(taught(again).grid, taught(first).grid)
 
 
 def test_init_finds_a_shift_between_field_and_photos(scene):

@@ -47,6 +47,15 @@ def style_gradient(made: StylizationTrainer) -> np.ndarray:
     return found[0]
 
 
+def test_the_refit_learns_all_levels_alike_and_style_steps_the_fine_ones_slowly():
+    made = stylizer(detail_rate=0.1)
+    rates = []
+    made.run(lambda run: rates.append((run.state.phase, {factor for _, _, factor in run.scene.adam.groups})))
+    found = {phase: factors for phase, factors in rates}
+    assert found["refit"] == {1.0}
+    assert min(found["style"]) == pytest.approx(0.1) and max(found["style"]) == 1
+
+
 # -- what a step teaches --------------------------------------------------------------------------------------------
 
 
@@ -178,10 +187,11 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
 @pytest.mark.parametrize(("strategy", "loss"), [("deferred", "nnfm"), ("dilated", "nnfm"), ("deferred", "transport")])
 def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, loss, deform, monkeypatch):
     monkeypatch.setattr(style_objective, "POSITIONS", 40)  # transport draws new ones in each step
-    whole = stylizer(strategy=strategy, loss=loss, deform=deform)
+    given = {"strategy": strategy, "loss": loss, "deform": deform, "detail_rate": 0.1}
+    whole = stylizer(**given)
     whole.run()
     expected, arrays = result_of(whole)
-    at = stylizer(strategy=strategy, loss=loss, deform=deform)
+    at = stylizer(**given)
     seen = []
 
     def stop_after(count: int):
@@ -195,7 +205,7 @@ def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, loss,
     for count in (3, 8, 9, 15):  # within the refit, at its last step, at the first of style, within it
         with pytest.raises(Stopped):
             at.run(stop_after(count))
-        at = resumed(stylizer(strategy=strategy, loss=loss, deform=deform), at)
+        at = resumed(stylizer(**given), at)
     at.run()
     state, found = result_of(at)
     assert seen.count("style") == 7 and state == expected and state["phase"] == "done"
@@ -230,7 +240,7 @@ def test_with_a_deformation_shapes_move_and_a_weight_holds_them():
     """The silhouettes change, the density does not: it is asked elsewhere."""
     moved = {}
     for weight in (0.0, 1e3):
-        made = stylizer(steps=30, deform=True, match="none", displacement_weight=weight)
+        made = stylizer(steps=30, deform=True, match="none", deform_rate=1e-2, displacement_weight=weight)
         before, rest = made.scene.field.density.values.copy(), [made.scene.geometry.alpha(v).copy() for v in range(3)]
         made.run()
         assert np.array_equal(made.scene.field.density.values, before)

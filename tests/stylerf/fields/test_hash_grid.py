@@ -1,0 +1,25 @@
+"""How fast the levels of a hash color learn."""
+
+import numpy as np
+import pytest
+
+from stylerf.fields.hash_grid import HashColor
+
+
+@pytest.fixture
+def color() -> HashColor:
+    """16, 25, 40, 64, 101 and 160 cells a side."""
+    return HashColor.create(np.random.default_rng(0), levels=6, base=16, finest=160, table=1 << 10)
+
+
+def test_all_levels_learn_alike_unless_asked_otherwise(color):
+    assert color.groups() == [(0, len(color.values), 1.0)]
+
+
+def test_levels_finer_than_five_cells_of_the_finest_learn_more_slowly(color):
+    color.detail_rate = 0.1
+    begins, ends, rates = zip(*color.groups())
+    assert (0, *ends) == (*begins, len(color.values))
+    # 160 / 5 = 32 cells; then in equal steps of the logarithm: 0.1^(log(cells / 32) / log 5).
+    expected = [1, 1] + [0.1 ** (np.log(cells / 32) / np.log(5)) for cells in (40, 64, 101)] + [0.1]
+    np.testing.assert_allclose(rates, expected)
