@@ -46,6 +46,15 @@ def test_it_comes_nearer_to_the_style_image_with_more_steps(photo, stripes):
     assert np.array_equal(few, painted_photo(photo, None, 1.0, stripes, SETTINGS, small_trunk(), 2))
 
 
+@pytest.mark.parametrize("option", [{"stroke": 2.0}, {"rotations": True}])
+def test_strokes_are_as_the_settings_say(photo, stripes, option):
+    plain, other = (
+        painted_photo(photo, None, 1.0, stripes, settings, small_trunk(), 10)
+        for settings in (SETTINGS, replace(SETTINGS, **option))
+    )
+    assert np.abs(plain - other).mean() > 1e-3
+
+
 @pytest.mark.parametrize("match", ["before", "after", "both"])
 def test_colors_are_matched_as_the_settings_say(photo, stripes, match):
     settings = replace(SETTINGS, match=match, max_gain=0.0)
