@@ -7,12 +7,13 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, StylerfError, UsageError
 from schemas.work_folder import valid_name
 from stages.configs.decompose import PaletteFieldConfig
 from stages.configs.export import ExportConfig
@@ -23,10 +24,11 @@ from stages.viewing.keyframes import Keyframes
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
 from stages.viewing.palette_changes import Changes, learned_with
-from stages.viewing.runs import Run
+from stages.viewing.runs import ENDING_SECONDS, Run
 from stages.viewing.selection import History
 from stages.viewing.shown import PLANES, Shown, Source
 from stages.viewing.styles import Wish
+from stylerf.errors import InvalidValue
 from stylerf.fields.blended_color import BlendedColor
 
 if TYPE_CHECKING:  # these import torch, which the first picture should not wait for
@@ -35,6 +37,7 @@ if TYPE_CHECKING:  # these import torch, which the first picture should not wait
 
 CLICK_PIXELS = 200_000.0  # of the camera that clicks are looked up in; its pixels are finer than any field
 BOX_RAYS = 24  # a side, through a rectangle that becomes a box
+PREPARE_SECONDS = 0.2  # between looks at whether the page rests
 WATCH_SECONDS = 3.0  # between looks at the checkpoints of a stylization
 EDIT_MARK = "edit "  # before the name of a region's palette in lists of what can be recolored
 
@@ -71,7 +74,10 @@ class Desk:
         self.commands: list[list[str]] = []
         self.run: Run | None = None
         self._half: Source | None = None  # of a stylization in progress
-        self._growers: dict[str, Grower] = {}
+        self._growers: dict[str, Grower] = {}  # of the field that is shown, by its digest
+        self._growing = threading.Lock()  # over _growers
+        self._preparing: threading.Thread | None = None
+        self._closing = threading.Event()
         self._selected: np.ndarray | None = None
         self._regions: dict[str, np.ndarray] = {}
 
@@ -211,14 +217,43 @@ class Desk:
             self.refresh()
 
     def grower(self) -> "Grower":
-        """Return what grows selections in the shown field; the first time it looks at the training views."""
+        """Return what grows selections in the shown field; unless prepared, its first selection takes seconds."""
         from stages.viewing.growing import Grower
 
         key = self.library.work.get("field", self.field).digest
-        if key not in self._growers:
-            self.said("looking at the training views, once for this field; it takes some seconds")
-            self._growers = {key: Grower(self.library, self.field, self.threads, self.said)}
-        return self._growers[key]
+        with self._growing:
+            if key not in self._growers:
+                self._growers = {key: Grower(self.library, self.field, self.threads, self.said)}
+            return self._growers[key]
+
+    def prepare(self) -> None:
+        """From now on compute what the first selection in a field needs while no picture is waited for, in a thread."""
+        with self.lock:
+            if self._preparing is None:
+                self._preparing = threading.Thread(target=self._prepare, name="prepare", daemon=True)
+                self._preparing.start()
+
+    def _prepare(self) -> None:
+        done = ""
+        while not self._closing.wait(PREPARE_SECONDS):
+            field = self.field
+            if field == done or not self.painter.resting():
+                continue
+            try:
+                grower = self.grower()
+                wanted = partial(self._idle_with, field)
+                if grower.prepare(wanted):
+                    done = field
+            except (StylerfError, InvalidValue, ValueError, OSError, MemoryError):
+                done = field  # a click says what is wrong
+
+    def _idle_with(self, field: str) -> bool:
+        """Wait until no picture is waited for; return whether this field is shown still."""
+        while not self._closing.is_set() and self.field == field:
+            if self.painter.resting():
+                return True
+            self._closing.wait(PREPARE_SECONDS)
+        return False
 
     @property
     def selected_cells(self) -> int:
@@ -400,7 +435,10 @@ class Desk:
             self.run.stop()
 
     def close(self) -> None:
-        """Interrupt the run and wait for its checkpoint."""
+        """Interrupt the run and wait for its checkpoint; end what is computed in the background."""
+        self._closing.set()
+        if self._preparing is not None:
+            self._preparing.join(ENDING_SECONDS)
         if self.run is not None and self.run.code is None:
             self.run.stop()
             self.run.wait()

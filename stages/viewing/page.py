@@ -164,6 +164,7 @@ class Page:
                 desk.painter.move(page, self.pose_of(client))
 
         desk.refresh()
+        desk.prepare()
         timer = threading.Timer(SETTLED_SECONDS, settle)
         timer.daemon = True
         timer.start()

@@ -127,6 +127,11 @@ class Painter:
             wanted = self._pages.get(page)
             return wanted.exact if wanted is not None and wanted.painted == (wanted.version, 1) else None
 
+    def resting(self) -> bool:
+        """Whether pages are open, and all of them show exact pictures."""
+        with self._ready:
+            return bool(self._pages) and all(one.painted == (one.version, 1) for one in self._pages.values())
+
     def _touch(self, wanted: Wanted) -> None:
         wanted.version += 1
         wanted.changed = self._clock()

@@ -1,6 +1,7 @@
 """The desk: what clicks select, what palettes become, and that each command does what the page showed."""
 
 import shlex
+import time
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from stages.viewing.commands import as_text, command, script_of
 from stages.viewing.desk import Desk
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
+from stages.viewing.selection import Selection
 from stages.viewing.styles import METHODS, Wish
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
@@ -50,6 +52,7 @@ def desk(tmp_path):
     opened.look(field="plain")
     yield opened
     opened.close()
+    opened.painter.stop()
 
 
 def test_a_click_selects_and_its_command_makes_the_same_region(desk):
@@ -211,3 +214,52 @@ def test_nothing_else_can_be_looked_at(desk):
     for bad in ({"lock": 1}, {"plane": "secret"}):
         with pytest.raises(UsageError):
             desk.look(**bad)
+
+
+def opened_page(desk):
+    """Make the desk's painter rest, as with a page that shows an exact picture."""
+    desk.painter.open(0, lambda picture, exact, stride: None)
+    desk.painter.move(0, FRONT)
+    desk.refresh()
+    desk.painter.start()
+
+
+def waited_for(found, seconds: float = 60.0) -> bool:
+    end = time.monotonic() + seconds
+    while not found() and time.monotonic() < end:
+        time.sleep(0.02)
+    return bool(found())
+
+
+def test_what_a_first_selection_needs_is_computed_once_while_the_page_rests(desk, monkeypatch):
+    from stages.viewing.growing import Grower
+
+    steps, plain = [], region_select.Sight.look
+    monkeypatch.setattr(region_select.Sight, "look", lambda sight, view: (steps.append(view), plain(sight, view))[1])
+    desk.prepare()
+    time.sleep(0.5)
+    assert steps == [], "no page is open"
+    opened_page(desk)
+    assert waited_for(lambda: desk._growers and next(iter(desk._growers.values()))._solid)
+    seed = desk.click(FRONT, 0.5, 0.5)
+    assert steps == desk.grower()._first.looking_views
+    alone = Grower(desk.library, "plain", 1, print)
+    np.testing.assert_array_equal(alone.cells(Selection(at=(seed,))), desk._selected)
+
+
+def test_preparing_is_given_up_for_another_field_and_by_closing(desk, monkeypatch):
+    looked, plain = [], region_select.Sight.look
+
+    def slow(sight, view):
+        looked.append(sight.field)
+        desk.look(field="palette")
+        return plain(sight, view)
+
+    monkeypatch.setattr(region_select.Sight, "look", slow)
+    opened_page(desk)
+    desk.prepare()
+    palette = desk.library.source("palette").field
+    assert waited_for(lambda: len(looked) == 3), "one look in the first field, two in the other"
+    assert [one is palette for one in looked] == [False, True, True]
+    desk.close()
+    assert not desk._preparing.is_alive()
