@@ -164,7 +164,7 @@ def test_the_whole_walk(walked, tmp_path):
     film.take(tab, "6-session", 2)
     assert desk.script().count("\nstylerf ") == 2
     film.save()
-    assert tab.browser.errors == []
+    assert tab.errors == []
 
 
 @pytest.mark.timeout(RANDOM_SECONDS + 300)
@@ -188,4 +188,4 @@ def test_random_clicks_and_drags_leave_no_error_and_no_memory(walked):
     growth = np.median(settled[-third:]) - np.median(settled[:third])
     print(f"{len(sizes)} gestures, {sizes[0]:.0f} to {sizes[-1]:.0f} MB, {growth:+.1f} MB in the last two thirds")
     assert growth < 60
-    assert tab.browser.errors == []
+    assert tab.errors == []
