@@ -51,6 +51,7 @@ class Wish:
                 stroke=self.stroke,
                 style_weight=RegionConfig.style_weight * self.strength,
                 budget=f"{self.seconds}s",
+                checkpoint_every_seconds=CHECKPOINT_SECONDS,
             )
             return command("stylize", work, learned, region=self.region, name=named)
         config = CONFIGS[self.method](

@@ -1,9 +1,11 @@
 """Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from stages.viewing.desk import EDIT_MARK
 from stages.viewing.style_uploads import cropped, kept, read_upload
 from stages.viewing.styles import METHODS, Wish
 
@@ -28,6 +30,7 @@ def add(page: Any) -> None:
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
+    keep = gui.add_button("Keep as it is", hint="Ends the run and makes a field of the steps that it has taken")
     shown = gui.add_markdown("")
 
     def part() -> np.ndarray | None:
@@ -69,17 +72,16 @@ def add(page: Any) -> None:
     def begun(event: Any) -> None:
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
-        started = desk.start(desk.stylize_command(wish(style)), finished)
-        if name.value and where.value == WHOLE:
-            desk.watch(started, name.value)
+        region = "" if where.value == WHOLE else where.value
+        started = desk.start(desk.stylize_command(wish(style)), partial(finished, region, name.value))
+        if name.value:
+            desk.watch(started, name.value, region)
 
-    def finished(done: Any) -> None:
-        if done.code != 0:
-            return
-        newest = desk.library.fields()[0]
-        if newest != desk.field:
-            desk.look(field=newest)
-        page.changed()
+    def finished(region: str, edit: str, run: Any) -> None:
+        if region and run.code == 0 and edit:
+            desk.open_palette(EDIT_MARK + edit)
+        elif not region:
+            desk.show_newest(run)
 
     page.rest.append(listing)
     upload.on_upload(page.act(taken))
@@ -89,4 +91,5 @@ def add(page: Any) -> None:
         one.on_update(lambda event: tell())
     run.on_click(page.act(begun))
     stop.on_click(page.act(lambda event: desk.stop()))
+    keep.on_click(page.act(lambda event: desk.keep(desk.show_newest)))
     tell()

@@ -2,6 +2,7 @@
 
 import shlex
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from stages.configs.decompose import RecolorConfig
 from stages.configs.select import SelectConfig
 from stages.run.progress import Context
 from stages.run.runner import execute
+from stages.run.training_loop import save_checkpoint
 from stages.viewing.cameras import Pose
 from stages.viewing.commands import as_text, command, script_of
 from stages.viewing.desk import Desk
@@ -173,6 +175,46 @@ def test_a_stylization_is_one_that_the_command_line_takes(desk, method):
     assert (config.style_weight, config.budget) == (2.0, "30s")
     args, config = config_of(desk.stylize_command(Wish("a b.png", method, "thing", 2.0, 0.5, 30, "x")))
     assert (args.region, config.style, config.stroke, config.style_weight) == ("thing", "a b.png", 0.5, 6.0)
+
+
+def ended(arguments: list[str], code: int) -> SimpleNamespace:
+    return SimpleNamespace(arguments=arguments, code=code)
+
+
+def test_a_stopped_stylization_is_kept_by_the_same_command_until_its_steps(desk):
+    arguments = desk.stylize_command(Wish("a.png", name="half"))
+    for run in (None, ended(arguments, 0), ended(["render", "x"], 130), ended([*arguments, "--region", "a"], 130)):
+        desk.run = run
+        with pytest.raises(UsageError, match="nothing to keep"):
+            desk.keep_command()
+    desk.run = ended(arguments, 130)
+    with pytest.raises(UsageError, match="resume it"):
+        desk.keep_command()
+    folder = desk.library.work.root / "field" / ".half.partial" / "checkpoint"
+    folder.mkdir(parents=True)
+    save_checkpoint(folder, {"state": {"phase": "refit", "step": 200}}, {})
+    with pytest.raises(UsageError, match="resume it"):
+        desk.keep_command()
+    save_checkpoint(folder, {"state": {"phase": "style", "step": 17}}, {})
+    assert config_of(desk.keep_command())[1].until == 17
+    assert desk.keep_command() == [*arguments, "--until", "17"]
+    desk.run = ended([*arguments, "--until", "30"], 130)
+    assert desk.keep_command() == [*arguments, "--until", "17"]
+
+
+def test_the_stages_of_an_edit_are_commands_that_the_command_line_takes(desk):
+    args, _ = config_of(desk.extract_command("thing"))
+    assert args.region == "thing"
+    args, _ = config_of(desk.distill_command("red"))
+    assert args.edit == "red"
+    args, config = config_of(desk.finetune_command("red", 45))
+    assert (args.edit, config.budget) == ("red", "45s")
+    args, _ = config_of(desk.deform_command())
+    assert args.of == "plain"
+    with pytest.raises(UsageError, match="no region yet"):
+        desk.extract_command("")
+    with pytest.raises(UsageError, match="no edit yet"):
+        desk.distill_command("")
 
 
 def test_a_stylization_needs_a_painting_and_a_name(desk):
