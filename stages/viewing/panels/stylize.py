@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from stages.viewing.desk import EDIT_MARK
-from stages.viewing.style_uploads import cropped, kept, read_upload
 from stages.viewing.styles import METHODS, Wish
 
 SHOWN = 320  # pixels of the painting's longer side on the page
@@ -35,7 +34,11 @@ def add(page: Any) -> None:
 
     def part() -> np.ndarray | None:
         image = state["image"]
-        return None if image is None else cropped(image, across.value, down.value, 1 / zoom.value)
+        if image is None:
+            return None
+        from stages.viewing.style_uploads import cropped  # imports torch, which the page should not wait for
+
+        return cropped(image, across.value, down.value, 1 / zoom.value)
 
     def draw() -> None:
         found = part()
@@ -65,11 +68,15 @@ def add(page: Any) -> None:
         tell()
 
     def taken(event: Any) -> None:
+        from stages.viewing.style_uploads import read_upload
+
         state["image"] = read_upload(upload.value.name, upload.value.content)
         draw()
         tell()
 
     def begun(event: Any) -> None:
+        from stages.viewing.style_uploads import kept
+
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
         region = "" if where.value == WHOLE else where.value

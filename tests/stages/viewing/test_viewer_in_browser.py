@@ -4,6 +4,8 @@ With STYLERF_SCREENSHOTS=FOLDER the page is also saved as a PNG, to look at.
 """
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from urllib.error import HTTPError
@@ -116,6 +118,12 @@ def _drawn(viewer):
     """What is drawn in the scenes of its pages."""
     pages = viewer._server.get_clients().values()
     return [one for page in pages for one in page.scene._handle_from_node_name.values()]
+
+
+def test_the_page_is_served_before_torch_is_imported():
+    pytest.importorskip("viser")
+    code = "import sys, viser, stages.viewing.server, stages.viewing.page; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == 0
 
 
 def test_only_the_viewers_own_pages_are_served(viewer):
