@@ -25,7 +25,7 @@ def add(page: Any) -> None:
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
-    budget = gui.add_number("Seconds", 60, min=5, max=86_400, step=5)
+    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m), or a number of style steps")
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
@@ -54,7 +54,7 @@ def add(page: Any) -> None:
             "" if where.value == WHOLE else where.value,
             float(strength.value),
             float(stroke.value),
-            int(budget.value),
+            budget.value,
             name.value,
         )
 

@@ -170,10 +170,10 @@ def test_a_regions_palette_is_shown_on_the_region_alone_and_kept_with_its_option
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stylization_is_one_that_the_command_line_takes(desk, method):
-    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "", 2.0, 1.0, 30, "x")))
+    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "", 2.0, 1.0, "30s", "x")))
     assert (args.of, args.name, config.method, config.style) == ("plain", "x", method, "a b.png")
     assert (config.style_weight, config.budget) == (2.0, "30s")
-    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "thing", 2.0, 0.5, 30, "x")))
+    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "thing", 2.0, 0.5, "30s", "x")))
     assert (args.region, config.style, config.stroke, config.style_weight) == ("thing", "a b.png", 0.5, 6.0)
 
 
