@@ -24,6 +24,12 @@ class UsageError(StylerfError):
     exit_code = 2
 
 
+class TrainedFurther(UsageError):
+    """An interrupted run has passed the step that it was to end at."""
+
+    keeps_run = True
+
+
 class BadInput(StylerfError):
     """Unusable photos, cameras, style images or masks."""
 

@@ -49,6 +49,7 @@ class Recipe:
 
     Attributes:
         incidental: Options that are recorded but do not affect the result, such as the path of a file.
+        extent: Options that say how far a run goes: one that was interrupted under other values of them is resumed.
         stored_digest: Digest of a recipe read from a manifest, which does not record what is incidental.
     """
 
@@ -58,6 +59,7 @@ class Recipe:
     inputs: list[InputRef]
     seed: int = 0
     incidental: Sequence[str] = ()
+    extent: Sequence[str] = ()
     stored_digest: str = ""
 
     @property
@@ -65,8 +67,16 @@ class Recipe:
         """SHA-256 of stage, revision, options, seed, and the roles and digests (not the names) of the inputs."""
         if self.stored_digest:
             return self.stored_digest
+        return self._digest_without(self.incidental)
+
+    @property
+    def run_digest(self) -> str:
+        """The digest without what says how far a run goes: runs that have it in common resume one another."""
+        return self._digest_without((*self.incidental, *self.extent)) if self.extent else self.digest
+
+    def _digest_without(self, options: Sequence[str]) -> str:
         inputs = sorted((ref.role, ref.kind, ref.digest) for ref in self.inputs)
-        deciding = {name: value for name, value in self.config.items() if name not in self.incidental}
+        deciding = {name: value for name, value in self.config.items() if name not in options}
         return digest_of([self.stage, self.revision, deciding, inputs, self.seed])
 
     def other_options(self, before: "Recipe") -> str:

@@ -83,11 +83,12 @@ class PartialArtifact:
             self._restore_replaced()
             self._restore_ready()
             self._refuse_to_bury()
-            self.resumed = self._holds_same_recipe()
+            self.resumed = self._holds_same_run()
             if not self.resumed:
                 if protect:
                     self._refuse_to_lose()
                 self._start_afresh()
+            self._store_recipe()
             make_folder(self.checkpoint)
             for leftover in [item for item in self.folder.rglob(".*") if is_temporary(item)]:
                 leftover.unlink(missing_ok=True)
@@ -95,11 +96,12 @@ class PartialArtifact:
             self._lock.release()
             raise
 
-    def _holds_same_recipe(self) -> bool:
+    def _holds_same_run(self) -> bool:
         if not self.path.is_dir():  # finished: killed before it was cleaned up
             return False
         left = _stored(self.folder / "recipe.json")
-        return left.get("digest") == self.recipe.digest and (not self.rebuild or left.get("rebuild") is True)
+        same = left.get("run", left.get("digest")) == self.recipe.run_digest
+        return same and (not self.rebuild or left.get("rebuild") is True)
 
     def _refuse_to_lose(self) -> None:
         left = _stored(self.folder / "recipe.json")
@@ -148,8 +150,11 @@ class PartialArtifact:
             self._delete()
         make_folder(self.path)
         self._lock.hold_folder(self.folder)
-        # Last: a folder without a recipe is never resumed, so a kill before this costs nothing.
-        stored = {**asdict(self.recipe), "digest": self.recipe.digest, "rebuild": self.rebuild}
+
+    def _store_recipe(self) -> None:
+        # After the rest: a folder without a recipe is never resumed, so a kill before this costs nothing.
+        digests = {"digest": self.recipe.digest, "run": self.recipe.run_digest}
+        stored = {**asdict(self.recipe), **digests, "rebuild": self.rebuild}
         write_json(self.folder / "recipe.json", stored)
 
     def _restore_replaced(self) -> None:

@@ -85,10 +85,18 @@ class Sight:
     @cached_property
     def looks(self) -> list[Look]:
         """A sample of the training views."""
+        return [self.look(view) for view in self.looking_views]
+
+    @property
+    def looking_views(self) -> list[int]:
+        """The indices of that sample."""
         train = self.scene.splits["train"]
-        chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
-        photos = ((i, photo_for(self.field, self.scene, i, self.level, self.threads)) for i in chosen)
-        return [Look.at(self.field, self.scene.cameras[i], photo, self.threads) for i, photo in photos]
+        return [train[i] for i in np.unique(np.linspace(0, len(train) - 1, LOOKING_VIEWS).round().astype(int))]
+
+    def look(self, view: int) -> Look:
+        """One of the looks."""
+        photo = photo_for(self.field, self.scene, view, self.level, self.threads)
+        return Look.at(self.field, self.scene.cameras[view], photo, self.threads)
 
     @cached_property
     def seen(self) -> SeenCells:

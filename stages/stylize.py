@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from schemas.errors import BadInput
+from schemas.errors import BadInput, TrainedFurther
 from schemas.images import to_uint8, write_png
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.field import load_deformation, load_field, save_deformation, save_field
@@ -88,8 +88,13 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
     except InvalidValue as error:
         name = config.style or config.references[0]
         raise BadInput(f"{name} on {inputs['field'].path}: {error}") from error
-    trainer = StylizationTrainer(method)
+    trainer = StylizationTrainer(method, config.until)
     if resumed(trainer, partial, context):
+        if trainer.passed:
+            raise TrainedFurther(
+                f"the interrupted run has taken {trainer.state.step} style steps, more than --until {config.until}; "
+                f"give --until {trainer.state.step} to end it there, or --force to start over"
+            )
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):

@@ -14,6 +14,7 @@ def option(
     metavar: str | None = None,
     flag: str | None = None,
     incidental: bool = False,
+    extent: bool = False,
     digest: str = "",
     advanced: bool = False,
     group: str = "",
@@ -30,12 +31,14 @@ def option(
         metavar: placeholder for the value in `--help`.
         flag: the flag, if other than `--field-name`.
         incidental: the option does not affect the result, so changing it does not make an artifact stale.
+        extent: the option says how far a run goes, so a run that was interrupted under another value resumes.
         digest: the field that holds the digest of the file this option names. Once filled in, the path is incidental.
         advanced: list the option only in `--help-all`.
         group: heading that `--help-all` lists it under.
     """
     metadata = {"help": help, "choices": choices, "metavar": metavar, "flag": flag, "incidental": incidental}
-    return field(default=default, metadata=metadata | {"digest": digest, "advanced": advanced, "group": group})
+    metadata |= {"extent": extent, "digest": digest, "advanced": advanced, "group": group}
+    return field(default=default, metadata=metadata)
 
 
 def advanced(default: Any, group: str = "", **others: Any) -> Any:
@@ -55,6 +58,11 @@ def incidental(config: Any) -> set[str]:
         for item in fields(config)
         if item.metadata.get("incidental") or getattr(config, item.metadata.get("digest") or "", "")
     }
+
+
+def extent(config: Any) -> set[str]:
+    """Return the names of the options of a config that say how far a run goes."""
+    return {item.name for item in fields(config) if item.metadata.get("extent")}
 
 
 def flag_of(item: "Field[Any]") -> str:

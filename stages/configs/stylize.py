@@ -108,6 +108,9 @@ class StylizeConfig:
     gradient_clip: float = advanced(
         0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
     )
+    until: int = advanced(
+        0, LIMITS, extent=True, help="end early, after this many style steps, as an interrupted run too (0: do not)"
+    )
     checkpoint_every_seconds: float = advanced(20.0, LIMITS, help="time between checkpoints", incidental=True)
 
     @property
@@ -119,6 +122,8 @@ class StylizeConfig:
         if CONFIGS.get(self.method) is not type(self):
             raise ValueError(f"--method {self.method} has options of its own; give it on the command line")
         budget_of(self.budget)
+        if self.until < 0:
+            raise ValueError("until must be a number of style steps, or 0")
         if not self.style and not self.references:
             raise ValueError("--style is required: the style image")
         unmatched = self.match == "none" or (self.match == "auto" and bool(self.references))

@@ -14,7 +14,7 @@ from schemas.canonical_json import plain
 from schemas.errors import ArtifactStale, BadInput, OutOfResources, StylerfError, UsageError
 from schemas.partial_artifact import EXPENSIVE_SECONDS, UnlikeInterrupted
 from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder, sources_of
-from stages.configs import incidental
+from stages.configs import extent, incidental
 from stages.run.clock import Clock, peak_memory_mb
 from stages.run.progress import Context, Progress
 
@@ -58,7 +58,8 @@ class Spec:
 def recipe_of(spec: Spec, inputs: dict[str, Artifact], config: Any, seed: int) -> Recipe:
     """Return the recipe for the artifact that `spec` makes from these inputs (by role) and options."""
     references = [artifact.reference(role) for role, artifact in sorted(inputs.items())]
-    return Recipe(spec.stage, spec.revision, plain(config), references, seed, sorted(incidental(config)))
+    apart = sorted(incidental(config)), sorted(extent(config))
+    return Recipe(spec.stage, spec.revision, plain(config), references, seed, *apart)
 
 
 def without_folders(recipe: Recipe) -> Recipe:

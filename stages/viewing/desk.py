@@ -7,14 +7,16 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, StylerfError, UsageError
 from schemas.work_folder import valid_name
 from stages.configs.decompose import PaletteFieldConfig
+from stages.configs.edit import FinetuneConfig
 from stages.configs.export import ExportConfig
 from stages.configs.render import RenderConfig
 from stages.viewing.cameras import Pose, pixel_at
@@ -23,11 +25,13 @@ from stages.viewing.keyframes import Keyframes
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
 from stages.viewing.palette_changes import Changes, learned_with
-from stages.viewing.runs import Run
+from stages.viewing.runs import ENDING_SECONDS, Run
 from stages.viewing.selection import History
 from stages.viewing.shown import PLANES, Shown, Source
 from stages.viewing.styles import Wish
+from stylerf.errors import InvalidValue
 from stylerf.fields.blended_color import BlendedColor
+from stylerf.fields.palette_edits import PaletteEdits
 
 if TYPE_CHECKING:  # these import torch, which the first picture should not wait for
     from stages.viewing.growing import Grower
@@ -35,6 +39,7 @@ if TYPE_CHECKING:  # these import torch, which the first picture should not wait
 
 CLICK_PIXELS = 200_000.0  # of the camera that clicks are looked up in; its pixels are finer than any field
 BOX_RAYS = 24  # a side, through a rectangle that becomes a box
+PREPARE_SECONDS = 0.2  # between looks at whether the page rests
 WATCH_SECONDS = 3.0  # between looks at the checkpoints of a stylization
 EDIT_MARK = "edit "  # before the name of a region's palette in lists of what can be recolored
 
@@ -71,7 +76,10 @@ class Desk:
         self.commands: list[list[str]] = []
         self.run: Run | None = None
         self._half: Source | None = None  # of a stylization in progress
-        self._growers: dict[str, Grower] = {}
+        self._growers: dict[str, Grower] = {}  # of the field that is shown, by its digest
+        self._growing = threading.Lock()  # over _growers
+        self._preparing: threading.Thread | None = None
+        self._closing = threading.Event()
         self._selected: np.ndarray | None = None
         self._regions: dict[str, np.ndarray] = {}
 
@@ -211,14 +219,43 @@ class Desk:
             self.refresh()
 
     def grower(self) -> "Grower":
-        """Return what grows selections in the shown field; the first time it looks at the training views."""
+        """Return what grows selections in the shown field; unless prepared, its first selection takes seconds."""
         from stages.viewing.growing import Grower
 
         key = self.library.work.get("field", self.field).digest
-        if key not in self._growers:
-            self.said("looking at the training views, once for this field; it takes some seconds")
-            self._growers = {key: Grower(self.library, self.field, self.threads, self.said)}
-        return self._growers[key]
+        with self._growing:
+            if key not in self._growers:
+                self._growers = {key: Grower(self.library, self.field, self.threads, self.said)}
+            return self._growers[key]
+
+    def prepare(self) -> None:
+        """From now on compute what the first selection in a field needs while no picture is waited for, in a thread."""
+        with self.lock:
+            if self._preparing is None:
+                self._preparing = threading.Thread(target=self._prepare, name="prepare", daemon=True)
+                self._preparing.start()
+
+    def _prepare(self) -> None:
+        done = ""
+        while not self._closing.wait(PREPARE_SECONDS):
+            field = self.field
+            if field == done or not self.painter.resting():
+                continue
+            try:
+                grower = self.grower()
+                wanted = partial(self._idle_with, field)
+                if grower.prepare(wanted):
+                    done = field
+            except (StylerfError, InvalidValue, ValueError, OSError, MemoryError):
+                done = field  # a click says what is wrong
+
+    def _idle_with(self, field: str) -> bool:
+        """Wait until no picture is waited for; return whether this field is shown still."""
+        while not self._closing.is_set() and self.field == field:
+            if self.painter.resting():
+                return True
+            self._closing.wait(PREPARE_SECONDS)
+        return False
 
     @property
     def selected_cells(self) -> int:
@@ -330,16 +367,26 @@ class Desk:
         """Return the command of a stylization of the shown field, or of a region."""
         return wish.command(self.library.work.root, self.field)
 
-    def watch(self, run: Run, name: str) -> None:
-        """Show a stylization while it runs, from its checkpoints, in a thread of its own."""
-        from stages.viewing.half_done import half_done
+    def watch(self, run: Run, name: str, region: str = "") -> None:
+        """Show a stylization of the scene or a region while it runs, from its checkpoints, in a thread of its own."""
+        from stages.viewing.half_done import half_done, half_learned
+        from stages.viewing.recoloring import edited_field
 
-        source = self.library.source(self.field)
+        source, work = self.library.source(self.field), self.library.work
+        cells = self.library.region(region) if region else None
+
+        def newest() -> Source | None:
+            if cells is None:
+                return half_done(work, name, source)
+            edit = half_learned(work, name)
+            if edit is None:
+                return None
+            return replace(source, field=edited_field(source.field, edit, cells, PaletteEdits()))
 
         def follow() -> None:
             while run.code is None:
                 time.sleep(WATCH_SECONDS)
-                found = half_done(self.library.work, name, source)
+                found = newest()
                 with self.lock:
                     if found is not None and run.code is None:
                         self._half = found
@@ -349,6 +396,67 @@ class Desk:
                 self.refresh()
 
         threading.Thread(target=follow, name="watch", daemon=True).start()
+
+    def keep(self, ended: Callable[[Run], None] = lambda run: None) -> Run:
+        """Stop the stylization of a scene, if it runs, and make a field of the steps that it has taken.
+
+        Raises:
+            UsageError: as keep_command.
+        """
+        if self.run is not None and self.run.arguments[0] == "stylize" and self.run.code is None:
+            self.run.stop()
+            self.run.wait()
+        return self.start(self.keep_command(), ended)
+
+    def keep_command(self) -> list[str]:
+        """Return the command that ends a stopped stylization where it is: the same, until the steps that it has taken.
+
+        Raises:
+            UsageError: none was stopped, or it has no steps to keep.
+        """
+        from stages.viewing.half_done import steps_done
+
+        run = self.run
+        if run is None or run.arguments[0] != "stylize" or "--region" in run.arguments or run.code == 0:
+            raise UsageError("no stylization of a scene was stopped: there is nothing to keep")
+        if run.code is None:
+            raise UsageError("the stylization runs: stop it first")
+        options = dict(zip(run.arguments, run.arguments[1:], strict=False))
+        steps = steps_done(self.library.work, options.get("--name", ""))
+        if steps is None:
+            raise UsageError("the stopped run has not taken a style step under a name of its own: resume it")
+        made = run.arguments
+        if "--until" in made:
+            at = made.index("--until")
+            made = [*made[:at], *made[at + 2 :]]
+        return [*made, "--until", str(steps)]
+
+    # -- a region's edit, stage by stage -------------------------------------------------------------------------------
+
+    def extract_command(self, region: str) -> list[str]:
+        """Return the command that renders what the views show of a region, for its edit."""
+        return command("extract", self.library.work.root, region=_given(region, "region"))
+
+    def distill_command(self, edit: str) -> list[str]:
+        """Return the command that paints an edit into the training photos."""
+        return command("distill", self.library.work.root, edit=_given(edit, "edit"))
+
+    def finetune_command(self, edit: str, seconds: int) -> list[str]:
+        """Return the command that trains a field on an edit."""
+        config = FinetuneConfig(budget=f"{seconds}s")
+        return command("finetune", self.library.work.root, config, edit=_given(edit, "edit"))
+
+    def deform_command(self) -> list[str]:
+        """Return the command that gives the shown field a deformation."""
+        return command("deform", self.library.work.root, of=self.field)
+
+    def show_newest(self, run: Run) -> None:
+        """Show the newest field, if a run has made one."""
+        if run.code == 0:
+            newest = self.library.first_field()
+            if newest != self.field:
+                self.look(field=newest)
+            self._changed()
 
     # -- paths ---------------------------------------------------------------------------------------------------------
 
@@ -400,7 +508,10 @@ class Desk:
             self.run.stop()
 
     def close(self) -> None:
-        """Interrupt the run and wait for its checkpoint."""
+        """Interrupt the run and wait for its checkpoint; end what is computed in the background."""
+        self._closing.set()
+        if self._preparing is not None:
+            self._preparing.join(ENDING_SECONDS)
         if self.run is not None and self.run.code is None:
             self.run.stop()
             self.run.wait()
@@ -408,3 +519,9 @@ class Desk:
     def script(self) -> str:
         """Return the session's commands as a shell script."""
         return script_of(self.commands)
+
+
+def _given(name: str, kind: str) -> str:
+    if not name:
+        raise UsageError(f"there is no {kind} yet: make one first")
+    return name

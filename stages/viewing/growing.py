@@ -1,7 +1,9 @@
 """The cells of a selection in progress, and the seeds that clicks in any picture mean."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -10,12 +12,13 @@ from schemas.work_folder import Artifact
 from stages.artifacts.photos import load_pictures
 from stages.artifacts.region import load_region
 from stages.artifacts.scene import SceneData
+from stages.configs.select import SelectConfig
 from stages.pipeline.prerequisites import training_pictures
 from stages.region_select import Sight, cells_given, combined_cells, marked_cells
 from stages.viewing.library import Library
 from stages.viewing.selection import Selection
 from stylerf.editing.edit_grid import solid_cells
-from stylerf.editing.selection import ends_of_rays
+from stylerf.editing.selection import Look, ends_of_rays
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 
@@ -77,7 +80,7 @@ def box_around(places: np.ndarray) -> tuple[float, ...]:
 class Grower:
     """Computes the cells of selections in one field, as `stylerf select` does.
 
-    Its looks at the training views are made once, which takes seconds; each selection then takes much less.
+    What every selection needs is computed once, in steps, which threads may share: see prepare().
     """
 
     def __init__(self, library: Library, field: str, threads: int, say: Callable[[str], None]) -> None:
@@ -87,10 +90,43 @@ class Grower:
         scene = load_pictures(training_pictures(library.work, artifact), artifact, threads)
         self._sights: dict[int, Sight] = {}
         self._first = Sight(scene, source.field, source.level, 0, threads, say)
+        self._looks: dict[int, Look] = {}
         self._solid: dict[tuple[int, float], np.ndarray] = {}
+        self._step = threading.Lock()
+
+    def prepare(self, wanted: Callable[[], bool] = lambda: True) -> bool:
+        """Look at the training views, and find the cells that they see and that are solid; return whether all is done.
+
+        Each step is done by one thread, while others wait for it.
+
+        Args:
+            wanted: asked before each step; the first False ends it.
+        """
+        first = self._first
+
+        def look(view: int) -> None:
+            if view not in self._looks:
+                self._looks[view] = first.look(view)
+
+        def see() -> None:
+            first.__dict__.setdefault("looks", [self._looks[view] for view in first.looking_views])
+            self._sight(0)
+
+        def mark() -> None:
+            _ = self._sight(0).seen
+            self._solid_cells(0, SelectConfig.solid)
+
+        looks: list[Callable[[], None]] = [partial(look, view) for view in first.looking_views]
+        for step in (*looks, see, mark):
+            if not wanted():
+                return False
+            with self._step:
+                step()
+        return True
 
     def cells(self, selection: Selection) -> np.ndarray:
         """Return the marked cells [s, s, s] bool of a selection; BadInput where it meets nothing."""
+        self.prepare()
         config = selection.config()
         others = {}
         inputs: dict[str, Artifact] = {}
@@ -98,16 +134,21 @@ class Grower:
             for name in getattr(config, how):
                 inputs[f"{how}.{name}"] = self._library.work.get("region", name)
                 others[f"{how}.{name}"] = load_region(inputs[f"{how}.{name}"])
-        sight = self._sight(cells_given(config, others))
-        key = (sight.cells, config.solid)
-        if key not in self._solid:
-            self._solid[key] = solid_cells(self._field, sight.cells, self._threads, config.solid)
-        solid = self._solid[key]
-        return combined_cells(marked_cells(sight, solid, config), others, self._field, inputs)
+        cells = cells_given(config, others)
+        marked = marked_cells(self._sight(cells), self._solid_cells(cells, config.solid), config)
+        return combined_cells(marked, others, self._field, inputs)
 
     def _sight(self, cells: int) -> Sight:
+        """Cells a side; 0: by the size of pixels."""
+        cells = cells or self._first.cells
         if cells not in self._sights:
             sight = replace(self._first, fixed_cells=cells)
             sight.__dict__["looks"] = self._first.looks  # cached: the same for every number of cells
             self._sights[cells] = sight
         return self._sights[cells]
+
+    def _solid_cells(self, cells: int, solid: float) -> np.ndarray:
+        key = (self._sight(cells).cells, solid)
+        if key not in self._solid:
+            self._solid[key] = solid_cells(self._field, key[0], self._threads, solid)
+        return self._solid[key]

@@ -1,18 +1,22 @@
-"""The field of a stylization in progress, from its newest checkpoint: to look at while it trains."""
+"""A stylization in progress, from its newest checkpoint: what it looks like, and its steps."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from schemas.errors import StylerfError
 from schemas.work_folder import WorkFolder
+from stages.artifacts.edit import Edit
 from stages.configs.stylize import StylizeConfig
 from stages.run.training_loop import load_checkpoint
 from stages.viewing.shown import Source
+from stylerf.editing.palette_module import PaletteModule
 from stylerf.errors import InvalidValue
 from stylerf.fields.hash_grid import HashColor
+from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.training.stylize.scene import COLOR, FINEST
-from stylerf.validation import LEARNED
+from stylerf.validation import LEARNED, entry
 
 BASE_CELLS = 16  # of new colors, a side of the coarsest level; those that the page starts have the stage's own sizes
 
@@ -25,10 +29,7 @@ def half_done(work: WorkFolder, name: str, source: Source) -> Source | None:
     Args:
         name: of the field in progress.
     """
-    try:
-        found = load_checkpoint(work.root / "field" / f".{name}.partial" / "checkpoint", lambda text: None)
-    except (OSError, StylerfError):
-        return None
+    found = _checkpoint(work, name, "field")
     if found is None or not {COLOR, FINEST} <= found[1].keys():
         return None
     values, finest = found[1][COLOR], found[1][FINEST]
@@ -42,3 +43,37 @@ def half_done(work: WorkFolder, name: str, source: Source) -> Source | None:
     except InvalidValue:
         return None
     return replace(source, field=replace(source.field, color=color, color_map=None))
+
+
+def half_learned(work: WorkFolder, name: str) -> Edit | None:
+    """Return the edit that the stylization of a region has reached; None before its first checkpoint, or a sound one.
+
+    Args:
+        name: of the edit in progress.
+    """
+    found = _checkpoint(work, name, "edit")
+    if found is None:
+        return None
+    arrays = {key.removeprefix("module."): values for key, values in found[1].items() if key.startswith("module.")}
+    try:
+        return Edit(PaletteModule.restore(entry(found[0], "module"), arrays), PaletteEdits())
+    except (InvalidValue, ValueError, KeyError, TypeError):
+        return None
+
+
+def steps_done(work: WorkFolder, name: str) -> int | None:
+    """Return the style steps that an interrupted stylization of a whole scene has taken; None before the first."""
+    found = _checkpoint(work, name, "field")
+    state = found[0].get("state") if found is not None else None
+    if not isinstance(state, dict) or state.get("phase") != "style":
+        return None
+    step = state.get("step")
+    return step if isinstance(step, int) and step > 0 else None
+
+
+def _checkpoint(work: WorkFolder, name: str, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
+    """Return the newest checkpoint of an artifact in progress; None without one, or while it cannot be read."""
+    try:
+        return load_checkpoint(work.root / kind / f".{name}.partial" / "checkpoint", lambda text: None)
+    except (OSError, StylerfError):
+        return None

@@ -107,6 +107,10 @@ class Library:
         """Return the names of regions' palettes."""
         return [one.name for one in self.work.artifacts("edit") if one.manifest.stage == "edit_learn"]
 
+    def all_edits(self) -> list[str]:
+        """Return the names of all edits, the newest first; what can be distilled."""
+        return [one.name for one in newest(self.work.artifacts("edit"))]
+
     def region_of_edit(self, edit: Artifact) -> Artifact | None:
         """Return the region that an edit is of; None if it is gone."""
         return next((one for one in sources_of(edit) if one.kind == "region"), None)

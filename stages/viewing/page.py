@@ -11,7 +11,7 @@ from schemas.errors import StylerfError
 from stages.viewing.cameras import Pose
 from stages.viewing.commands import as_text
 from stages.viewing.desk import Desk
-from stages.viewing.panels import look, paths, recolor, select, session, stylize
+from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
 from stylerf.errors import InvalidValue
 from stylerf.geometry.camera_paths import average_up, focus_point
 
@@ -48,7 +48,7 @@ class Page:
         tabs = self.gui.add_tab_group()
         for title, panel in (
             ("Look", look), ("Select", select), ("Recolor", recolor),
-            ("Stylize", stylize), ("Paths", paths), ("Session", session),
+            ("Stylize", stylize), ("Region", region), ("Paths", paths), ("Session", session),
         ):  # fmt: skip
             with tabs.add_tab(title):
                 panel.add(self)
@@ -164,6 +164,7 @@ class Page:
                 desk.painter.move(page, self.pose_of(client))
 
         desk.refresh()
+        desk.prepare()
         timer = threading.Timer(SETTLED_SECONDS, settle)
         timer.daemon = True
         timer.start()

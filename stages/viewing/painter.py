@@ -7,10 +7,12 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
-from stages.viewing.cameras import Pose
+from stages.viewing.cameras import FEWEST_PIXELS, Pose
+from stages.viewing.pace import Pace
 from stages.viewing.shown import Shown, picture_of
 from stylerf.fields.marching import ScratchArena
 from stylerf.geometry.cameras import Camera
@@ -24,8 +26,8 @@ from stylerf.rendering.interlaced import (
 
 REST_SECONDS = 0.12  # without a new pose, after which the camera rests
 FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
+LOADING_RAYS = 16  # that load the kernels
 RAYS_AT_ONCE = 4096  # between looks at whether the picture is still wanted
-FIRST_RATE = 20_000.0  # rays per second, until measured
 MOVING_TRANSMITTANCE = 1e-2  # where rays end while the camera moves; exact pictures use the engine's own
 FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
 
@@ -69,17 +71,25 @@ class Painter:
         clock: Callable[[], float] = time.monotonic,
         failed: Callable[[Exception], None] = lambda error: None,
     ) -> None:
-        self._threads, self._exact_pixels, self._fps, self._clock = threads, exact_pixels, fps, clock
+        self._exact_pixels, self._fps, self._clock = exact_pixels, fps, clock
         self._failed = failed
         self._pages: dict[int, Wanted] = {}
         self._ready = threading.Condition()
         self._ended = False
+        self._loading: Callable[[], object] = lambda: None
         self._arena = ScratchArena()
-        self.rate = FIRST_RATE
+        self.pace = Pace(threads)
         self._thread = threading.Thread(target=self._work, name="painter", daemon=True)
 
-    def start(self) -> None:
-        """Begin to paint."""
+    def start(self, first: Shown | None = None, pose: Pose | None = None) -> None:
+        """Begin to paint.
+
+        Args:
+            first, pose: what a page will ask for first; its kernels are loaded while that page opens.
+        """
+        if first is not None and pose is not None and pose.sound():
+            camera = pose.camera(FEWEST_PIXELS)
+            self._loading = partial(self._render, camera, first, np.arange(LOADING_RAYS), 1)
         self._thread.start()
 
     def stop(self) -> None:
@@ -127,6 +137,11 @@ class Painter:
             wanted = self._pages.get(page)
             return wanted.exact if wanted is not None and wanted.painted == (wanted.version, 1) else None
 
+    def resting(self) -> bool:
+        """Whether pages are open, and all of them show exact pictures."""
+        with self._ready:
+            return bool(self._pages) and all(one.painted == (one.version, 1) for one in self._pages.values())
+
     def _touch(self, wanted: Wanted) -> None:
         wanted.version += 1
         wanted.changed = self._clock()
@@ -134,6 +149,10 @@ class Painter:
         self._ready.notify_all()
 
     def _work(self) -> None:
+        try:
+            self._loading()
+        except Exception as error:
+            self._failed(error)
         while True:
             with self._ready:
                 if self._ended:
@@ -172,9 +191,11 @@ class Painter:
         return max(0.005, min(moving) + REST_SECONDS - self._clock()) if moving else None
 
     def _paint_moving(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
-        camera = pose.camera(min(self.rate / self._fps * FEWER, self._exact_pixels))
+        camera = pose.camera(min(self.pace.moving / self._fps * FEWER, self._exact_pixels))
         pixels = np.arange(camera.width * camera.height)
-        out = self._render(camera, shown, pixels, MOVING_TRANSMITTANCE).reshape(camera.height, camera.width, 6)
+        with self.pace.in_motion(len(pixels)) as threads:
+            rendered = self._render(camera, shown, pixels, threads, MOVING_TRANSMITTANCE)
+        out = rendered.reshape(camera.height, camera.width, 6)
         wanted.send(picture_of(shown, camera, out), False, 1)
         with self._ready:
             wanted.painted = (version, 0)
@@ -188,10 +209,11 @@ class Painter:
             return wanted.version != version or self._ended
 
         for stride, pixels in interlaced(
-            camera.width, camera.height, coarsest_within(count, self.rate * FIRST_PASS_SECONDS)
+            camera.width, camera.height, coarsest_within(count, self.pace.rate * FIRST_PASS_SECONDS)
         ):
             for batch in in_batches(pixels, RAYS_AT_ONCE, stopped):
-                out[batch] = self._render(camera, shown, batch)
+                with self.pace.exactly(len(batch)) as threads:
+                    out[batch] = self._render(camera, shown, batch, threads)
             if stopped():
                 return
             grid = spread_out(out.reshape(camera.height, camera.width, 6), stride)
@@ -204,10 +226,9 @@ class Painter:
             wanted.send(picture, stride == 1, stride)
 
     def _render(
-        self, camera: Camera, shown: Shown, pixels: np.ndarray, min_transmittance: float = 1e-3
+        self, camera: Camera, shown: Shown, pixels: np.ndarray, threads: int, min_transmittance: float = 1e-3
     ) -> np.ndarray:
         """Render pixels [n] of either side of the wipe: [n, 6]."""
-        began = time.perf_counter()
         out = np.empty((len(pixels), 6), np.float32)
         right = pixels % camera.width >= shown.boundary(camera.width)
         for source, which in ((shown.left, ~right), (shown.right, right)):
@@ -216,11 +237,9 @@ class Painter:
                     source.field,
                     camera,
                     pixels[which],
-                    threads=self._threads,
+                    threads=threads,
                     min_transmittance=min_transmittance,
                     marked=shown.marked,
                     arena=self._arena,
                 )
-        seconds = max(time.perf_counter() - began, 1e-6)
-        self.rate = 0.7 * self.rate + 0.3 * len(pixels) / seconds
         return out

@@ -47,9 +47,11 @@ class Viewer:
             OutOfResources: another viewer holds the folder (the message names it), or the port is taken.
         """
         viser = _viser()
+        from stages.viewing.cameras import Pose
         from stages.viewing.desk import Desk
         from stages.viewing.page import Page
         from stages.viewing.painter import Painter
+        from stages.viewing.shown import Shown
         from stylerf.kernels.cpu.compiling import set_threads
 
         self._library = library = Library(root)
@@ -81,7 +83,7 @@ class Viewer:
             self.url = f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}{query}"
             self.page: Any = Page(self._server, desk)
             desk.said = self.page.tell
-            self._painter.start()
+            self._painter.start(Shown(library.source(first)), Pose.of(like, 1.5))
         except BaseException:
             self._lock.release()
             raise

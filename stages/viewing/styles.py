@@ -23,7 +23,7 @@ class Wish:
         region: Empty for the whole scene.
         strength: Factor of the style distance's weight.
         stroke: Relative size of strokes.
-        seconds: Budget.
+        budget: Time such as 60s, or a number of style steps.
         name: Of the result, empty for the default.
     """
 
@@ -32,7 +32,7 @@ class Wish:
     region: str = ""
     strength: float = 1.0
     stroke: float = 1.0
-    seconds: int = 60
+    budget: str = "60s"
     name: str = ""
 
     def command(self, work: Path | str, field: str) -> list[str]:
@@ -50,12 +50,13 @@ class Wish:
                 style=self.style,
                 stroke=self.stroke,
                 style_weight=RegionConfig.style_weight * self.strength,
-                budget=f"{self.seconds}s",
+                budget=self.budget,
+                checkpoint_every_seconds=CHECKPOINT_SECONDS,
             )
             return command("stylize", work, learned, region=self.region, name=named)
         config = CONFIGS[self.method](
             method=self.method, style=self.style, stroke=self.stroke, style_weight=self.strength,
-            budget=f"{self.seconds}s", checkpoint_every_seconds=CHECKPOINT_SECONDS,
+            budget=self.budget, checkpoint_every_seconds=CHECKPOINT_SECONDS,
         )  # fmt: skip
         made = command("stylize", work, config, of=field, name=named)
         return made if "--method" in made else [*made, "--method", self.method]

@@ -74,7 +74,6 @@ def solid_cells(field: RadianceField, cells: int, threads: int, opacity: float =
     """
     # 1 - exp(-OPTICAL_SCALE sigma / cells) = opacity, solved for sigma: a cell is 1/cells long (decision 0002).
     threshold = -np.log1p(-opacity) / (float(OPTICAL_SCALE) / cells)
-    corner = np.stack(np.unravel_index(np.arange(cells**3), (cells,) * 3), -1).astype(np.int32)
     candidates = np.flatnonzero(_holding(field.occupancy.distances.reshape((field.occupancy.cells,) * 3) == 0, cells))
     highest = np.zeros(cells**3, np.float32)
     probes = 1 if cells >= FINE else 2
@@ -82,7 +81,8 @@ def solid_cells(field: RadianceField, cells: int, threads: int, opacity: float =
         shift = (np.array(probe, np.float32) + 0.5) / probes
         for at in range(0, len(candidates), POINTS_AT_ONCE):
             some = candidates[at : at + POINTS_AT_ONCE]
-            points = np.ascontiguousarray((corner[some] + shift) / np.float32(cells), np.float32)
+            corners = np.stack(np.unravel_index(some, (cells,) * 3), -1).astype(np.int32)
+            points = np.ascontiguousarray((corners + shift) / np.float32(cells), np.float32)
             highest[some] = np.maximum(highest[some], field.density.sigma(points, threads))
     return (highest >= threshold).reshape((cells,) * 3)
 

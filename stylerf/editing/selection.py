@@ -1,12 +1,12 @@
 """Selection of a region in 3D: seeds from pixels, boxes, masks and colors, and the cells that it may grow through."""
 
+import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import distance_transform_edt
 from skimage.color import rgb2lab
 
 from stylerf.editing.edit_grid import march_view
@@ -81,10 +81,11 @@ class SeenCells:
         lab = np.full((*shape, 3), np.nan, np.float32)
         lab[seen] = halved_lightness(mean[seen])
         # Cells behind the visible surface are solid but have no color of their own.
-        away, nearest = distance_transform_edt(~seen, return_indices=True)
-        near = (away > 0) & (away <= INHERIT)
-        lab[near] = lab[tuple(axis[near] for axis in nearest)]
-        self.lab, self.seen, self.known = lab, seen, seen | near
+        near, nearest = nearest_within(seen, INHERIT)
+        lab.reshape(-1, 3)[near] = lab.reshape(-1, 3)[nearest]
+        known = seen.copy()
+        known.reshape(-1)[near] = True
+        self.lab, self.seen, self.known = lab, seen, known
 
     def like(self, colors: np.ndarray, tolerance: float) -> np.ndarray:
         """Mark cells whose color is within `tolerance` of any of the Lab colors [n, 3]; [s, s, s] bool."""
@@ -197,6 +198,35 @@ def widened(marked: np.ndarray, width: int) -> np.ndarray:
             after[1:] |= before[:-1]
             after[:-1] |= before[1:]
     return out
+
+
+def nearest_within(marked: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Find the nearest marked cell of each unmarked one within `reach` cells, of [s, s, s] bool.
+
+    Of several at one distance it is the one with the smallest last index, then the smallest middle and first one, as in
+    SciPy's distance transform. That one goes through all cells, however far; a small reach takes a tenth of its time.
+
+    Returns:
+        Flat indices [n] of the unmarked cells, and of the nearest marked ones.
+    """
+    wide = math.ceil(reach)
+    around = (np.array(o) for o in itertools.product(range(-wide, wide + 1), repeat=3))
+    steps = sorted((step for step in around if 0 < step @ step <= reach**2), key=lambda o: (o @ o, *o[::-1]))
+    room = np.pad(marked, wide)
+    strides = np.array([room.shape[1] * room.shape[2], room.shape[2], 1])
+    left = np.flatnonzero(np.pad(widened(marked, wide) & ~marked, wide))
+    found, ends = [left[:0]], [left[:0]]
+    for step in steps:
+        met = room.reshape(-1)[left + step @ strides]
+        found.append(left[met])
+        ends.append(left[met] + step @ strides)
+        left = left[~met]
+
+    def inner(flat: np.ndarray) -> np.ndarray:
+        axes = np.unravel_index(flat, room.shape)
+        return np.ravel_multi_index(tuple(axis - wide for axis in axes), marked.shape)
+
+    return inner(np.concatenate(found)), inner(np.concatenate(ends))
 
 
 def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from typing import Any
 
 from stages.viewing.selection import MOST_STEPS
+from stages.viewing.strokes import Place, Strokes, seeds_along
 
 MODES = ("look", "click", "erase", "box")
 HOW = ("union", "subtract", "intersect")
@@ -13,7 +14,7 @@ def add(page: Any) -> None:
     gui, desk, scene = page.gui, page.desk, page.server.scene
     mode = gui.add_dropdown("Pointer", MODES, initial_value="look")
     page.controls["pointer"] = mode
-    gui.add_markdown("*click*: what you click grows. *erase*: it does not belong. Shift and drag: a stroke or a box.")
+    gui.add_markdown("*click*: it grows. *erase*: it does not belong. Drag with Shift: a stroke, or at *box* a box.")
     start = desk.history.now
     tolerance = gui.add_slider("Color tolerance", 0.0, 60.0, 1.0, start.tolerance)
     steps = gui.add_slider("Growing steps", 0, MOST_STEPS, 1, start.steps)
@@ -49,12 +50,21 @@ def add(page: Any) -> None:
         if mode.value in ("click", "erase"):
             desk.click(page.pose_of(event.client), *event.screen_pos, avoid=mode.value == "erase")
 
-    def dragged(event: Any) -> None:
-        pose = page.pose_of(event.client)
+    def stroked(client: Any, way: list[Place]) -> None:
+        pose = page.pose_of(client)
+        desk.scribble(pose, seeds_along(way, pose.aspect), avoid=mode.value == "erase")
+
+    def boxed(event: Any) -> None:
+        desk.box(page.pose_of(event.client), event.screen_min, event.screen_max)
+
+    strokes = Strokes(page, lambda client, way: again(lambda event: stroked(client, way))(None))
+    box = again(boxed)
+
+    def switched(event: Any) -> None:
+        strokes.take(mode.value in ("click", "erase"))
+        scene.remove_rect_select_callback(box)
         if mode.value == "box":
-            desk.box(pose, event.screen_min, event.screen_max)
-        elif mode.value in ("click", "erase"):
-            desk.scribble(pose, _stroke(event.screen_min, event.screen_max), avoid=mode.value == "erase")
+            scene.on_rect_select(modifier="shift")(box)
 
     def combined(event: Any) -> None:
         if other.value != "(none)":
@@ -66,7 +76,7 @@ def add(page: Any) -> None:
 
     page.rest.append(listing)
     scene.on_click()(again(clicked))
-    scene.on_rect_select(modifier="shift")(again(dragged))
+    mode.on_update(switched)
     tolerance.on_update(again(lambda event: desk.reselect(tolerance=float(tolerance.value))))
     steps.on_update(again(lambda event: desk.reselect(steps=int(steps.value))))
     cells.on_update(again(lambda event: desk.reselect(iterations=int(cells.value))))
@@ -76,9 +86,3 @@ def add(page: Any) -> None:
     name.on_update(lambda event: tell())
     keep.on_click(again(lambda event: desk.start(desk.select_command(name.value))))
     tell()
-
-
-def _stroke(low: tuple[float, float], high: tuple[float, float], count: int = 5) -> list[tuple[float, float]]:
-    """Return places spread over a rectangle, each in 0..1: `count` a side."""
-    at = [(i + 0.5) / count for i in range(count)]
-    return [(low[0] + (high[0] - low[0]) * x, low[1] + (high[1] - low[1]) * y) for y in at for x in at]

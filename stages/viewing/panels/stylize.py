@@ -1,10 +1,11 @@
 """Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from stages.viewing.style_uploads import cropped, kept, read_upload
+from stages.viewing.desk import EDIT_MARK
 from stages.viewing.styles import METHODS, Wish
 
 SHOWN = 320  # pixels of the painting's longer side on the page
@@ -24,15 +25,20 @@ def add(page: Any) -> None:
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
-    budget = gui.add_number("Seconds", 60, min=5, max=86_400, step=5)
+    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m), or a number of style steps")
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
+    keep = gui.add_button("Keep as it is", hint="Ends the run and makes a field of the steps that it has taken")
     shown = gui.add_markdown("")
 
     def part() -> np.ndarray | None:
         image = state["image"]
-        return None if image is None else cropped(image, across.value, down.value, 1 / zoom.value)
+        if image is None:
+            return None
+        from stages.viewing.style_uploads import cropped  # imports torch, which the page should not wait for
+
+        return cropped(image, across.value, down.value, 1 / zoom.value)
 
     def draw() -> None:
         found = part()
@@ -48,7 +54,7 @@ def add(page: Any) -> None:
             "" if where.value == WHOLE else where.value,
             float(strength.value),
             float(stroke.value),
-            int(budget.value),
+            budget.value,
             name.value,
         )
 
@@ -62,24 +68,27 @@ def add(page: Any) -> None:
         tell()
 
     def taken(event: Any) -> None:
+        from stages.viewing.style_uploads import read_upload
+
         state["image"] = read_upload(upload.value.name, upload.value.content)
         draw()
         tell()
 
     def begun(event: Any) -> None:
+        from stages.viewing.style_uploads import kept
+
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
-        started = desk.start(desk.stylize_command(wish(style)), finished)
-        if name.value and where.value == WHOLE:
-            desk.watch(started, name.value)
+        region = "" if where.value == WHOLE else where.value
+        started = desk.start(desk.stylize_command(wish(style)), partial(finished, region, name.value))
+        if name.value:
+            desk.watch(started, name.value, region)
 
-    def finished(done: Any) -> None:
-        if done.code != 0:
-            return
-        newest = desk.library.fields()[0]
-        if newest != desk.field:
-            desk.look(field=newest)
-        page.changed()
+    def finished(region: str, edit: str, run: Any) -> None:
+        if region and run.code == 0 and edit:
+            desk.open_palette(EDIT_MARK + edit)
+        elif not region:
+            desk.show_newest(run)
 
     page.rest.append(listing)
     upload.on_upload(page.act(taken))
@@ -89,4 +98,5 @@ def add(page: Any) -> None:
         one.on_update(lambda event: tell())
     run.on_click(page.act(begun))
     stop.on_click(page.act(lambda event: desk.stop()))
+    keep.on_click(page.act(lambda event: desk.keep(desk.show_newest)))
     tell()

@@ -309,7 +309,7 @@ class EditTrainer:
         """(JSON, arrays) to resume from."""
         arrays = {f"module.{k}": v for k, v in self.module.arrays().items()} | self.engine.moments()
         arrays["active"] = self._module.active
-        return {"state": vars(self.state)}, {k: v.copy() for k, v in arrays.items()}
+        return {"state": vars(self.state), "module": self._module.describe()}, {k: v.copy() for k, v in arrays.items()}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
         """Restore a checkpoint(), of whichever device."""

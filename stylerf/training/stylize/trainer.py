@@ -99,11 +99,13 @@ class DivergenceGuard:
 class StylizationTrainer:
     """Trains a method's scene to the end of its budget.
 
+    until: Step of the last phase to end after, before the end of the budget; 0: none.
+
     between_steps: Whether a checkpoint taken now is of a whole step.
     """
 
-    def __init__(self, method: StyleMethod) -> None:
-        self.method, self.scene = method, method.scene
+    def __init__(self, method: StyleMethod, until: int = 0) -> None:
+        self.method, self.scene, self._until = method, method.scene, until
         self.phases = ("refit", *method.phases)
         self._guard = DivergenceGuard(self.scene.settings)
         self.between_steps = True
@@ -118,6 +120,15 @@ class StylizationTrainer:
         """Settings at the present learning rates."""
         return self.scene.settings
 
+    @property
+    def _reached(self) -> bool:
+        return self._until > 0 and self.state.phase == self.phases[-1] and self.state.step >= self._until
+
+    @property
+    def passed(self) -> bool:
+        """Whether the step to end after is behind."""
+        return self._reached and self.state.step > self._until
+
     def run(self, on_step: Callable[["StylizationTrainer"], None] = lambda trainer: None) -> None:
         """Run all phases, calling on_step after every step.
 
@@ -126,7 +137,7 @@ class StylizationTrainer:
         """
         while self.state.phase != "done":
             timed = False  # a process's first step of a phase compiles
-            while self.scene.budget.progress < 1.0:
+            while self.scene.budget.progress < 1.0 and not self._reached:
                 begun, self.between_steps = time.perf_counter(), False
                 parts = self.method.refit_step() if self.state.phase == "refit" else self.method.step()
                 state = self.state

@@ -11,12 +11,19 @@ from tests.stages.report.browser import Browser
 
 SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
+PASSIVE = "Unable to preventDefault inside passive event listener invocation."
+
 
 class Tab:
     """A page of the viewer."""
 
     def __init__(self, browser: Browser) -> None:
         self.browser = browser
+
+    @property
+    def errors(self) -> list[str]:
+        """What the page's console reports, without a remark of the browser on how viser listens to a drag."""
+        return [text for text in self.browser.errors if text != PASSIVE]
 
     def ready(self) -> bool:
         """Whether canvas and panels are there."""

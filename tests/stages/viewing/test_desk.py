@@ -1,6 +1,8 @@
 """The desk: what clicks select, what palettes become, and that each command does what the page showed."""
 
 import shlex
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +16,13 @@ from stages.configs.decompose import RecolorConfig
 from stages.configs.select import SelectConfig
 from stages.run.progress import Context
 from stages.run.runner import execute
+from stages.run.training_loop import save_checkpoint
 from stages.viewing.cameras import Pose
 from stages.viewing.commands import as_text, command, script_of
 from stages.viewing.desk import Desk
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
+from stages.viewing.selection import Selection
 from stages.viewing.styles import METHODS, Wish
 from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.palette_edits import PaletteEdits
@@ -50,6 +54,7 @@ def desk(tmp_path):
     opened.look(field="plain")
     yield opened
     opened.close()
+    opened.painter.stop()
 
 
 def test_a_click_selects_and_its_command_makes_the_same_region(desk):
@@ -165,11 +170,51 @@ def test_a_regions_palette_is_shown_on_the_region_alone_and_kept_with_its_option
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stylization_is_one_that_the_command_line_takes(desk, method):
-    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "", 2.0, 1.0, 30, "x")))
+    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "", 2.0, 1.0, "30s", "x")))
     assert (args.of, args.name, config.method, config.style) == ("plain", "x", method, "a b.png")
     assert (config.style_weight, config.budget) == (2.0, "30s")
-    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "thing", 2.0, 0.5, 30, "x")))
+    args, config = config_of(desk.stylize_command(Wish("a b.png", method, "thing", 2.0, 0.5, "30s", "x")))
     assert (args.region, config.style, config.stroke, config.style_weight) == ("thing", "a b.png", 0.5, 6.0)
+
+
+def ended(arguments: list[str], code: int) -> SimpleNamespace:
+    return SimpleNamespace(arguments=arguments, code=code)
+
+
+def test_a_stopped_stylization_is_kept_by_the_same_command_until_its_steps(desk):
+    arguments = desk.stylize_command(Wish("a.png", name="half"))
+    for run in (None, ended(arguments, 0), ended(["render", "x"], 130), ended([*arguments, "--region", "a"], 130)):
+        desk.run = run
+        with pytest.raises(UsageError, match="nothing to keep"):
+            desk.keep_command()
+    desk.run = ended(arguments, 130)
+    with pytest.raises(UsageError, match="resume it"):
+        desk.keep_command()
+    folder = desk.library.work.root / "field" / ".half.partial" / "checkpoint"
+    folder.mkdir(parents=True)
+    save_checkpoint(folder, {"state": {"phase": "refit", "step": 200}}, {})
+    with pytest.raises(UsageError, match="resume it"):
+        desk.keep_command()
+    save_checkpoint(folder, {"state": {"phase": "style", "step": 17}}, {})
+    assert config_of(desk.keep_command())[1].until == 17
+    assert desk.keep_command() == [*arguments, "--until", "17"]
+    desk.run = ended([*arguments, "--until", "30"], 130)
+    assert desk.keep_command() == [*arguments, "--until", "17"]
+
+
+def test_the_stages_of_an_edit_are_commands_that_the_command_line_takes(desk):
+    args, _ = config_of(desk.extract_command("thing"))
+    assert args.region == "thing"
+    args, _ = config_of(desk.distill_command("red"))
+    assert args.edit == "red"
+    args, config = config_of(desk.finetune_command("red", 45))
+    assert (args.edit, config.budget) == ("red", "45s")
+    args, _ = config_of(desk.deform_command())
+    assert args.of == "plain"
+    with pytest.raises(UsageError, match="no region yet"):
+        desk.extract_command("")
+    with pytest.raises(UsageError, match="no edit yet"):
+        desk.distill_command("")
 
 
 def test_a_stylization_needs_a_painting_and_a_name(desk):
@@ -211,3 +256,52 @@ def test_nothing_else_can_be_looked_at(desk):
     for bad in ({"lock": 1}, {"plane": "secret"}):
         with pytest.raises(UsageError):
             desk.look(**bad)
+
+
+def opened_page(desk):
+    """Make the desk's painter rest, as with a page that shows an exact picture."""
+    desk.painter.open(0, lambda picture, exact, stride: None)
+    desk.painter.move(0, FRONT)
+    desk.refresh()
+    desk.painter.start()
+
+
+def waited_for(found, seconds: float = 60.0) -> bool:
+    end = time.monotonic() + seconds
+    while not found() and time.monotonic() < end:
+        time.sleep(0.02)
+    return bool(found())
+
+
+def test_what_a_first_selection_needs_is_computed_once_while_the_page_rests(desk, monkeypatch):
+    from stages.viewing.growing import Grower
+
+    steps, plain = [], region_select.Sight.look
+    monkeypatch.setattr(region_select.Sight, "look", lambda sight, view: (steps.append(view), plain(sight, view))[1])
+    desk.prepare()
+    time.sleep(0.5)
+    assert steps == [], "no page is open"
+    opened_page(desk)
+    assert waited_for(lambda: desk._growers and next(iter(desk._growers.values()))._solid)
+    seed = desk.click(FRONT, 0.5, 0.5)
+    assert steps == desk.grower()._first.looking_views
+    alone = Grower(desk.library, "plain", 1, print)
+    np.testing.assert_array_equal(alone.cells(Selection(at=(seed,))), desk._selected)
+
+
+def test_preparing_is_given_up_for_another_field_and_by_closing(desk, monkeypatch):
+    looked, plain = [], region_select.Sight.look
+
+    def slow(sight, view):
+        looked.append(sight.field)
+        desk.look(field="palette")
+        return plain(sight, view)
+
+    monkeypatch.setattr(region_select.Sight, "look", slow)
+    opened_page(desk)
+    desk.prepare()
+    palette = desk.library.source("palette").field
+    assert waited_for(lambda: len(looked) == 3), "one look in the first field, two in the other"
+    assert [one is palette for one in looked] == [False, True, True]
+    desk.close()
+    assert not desk._preparing.is_alive()

@@ -5,10 +5,11 @@ import pytest
 
 from schemas.work_folder import WorkFolder
 from stages.run.training_loop import save_checkpoint
-from stages.viewing.half_done import BASE_CELLS, half_done
+from stages.viewing.half_done import BASE_CELLS, half_done, half_learned
 from stages.viewing.library import Library
+from stylerf.editing.palette_module import PaletteModule
 from stylerf.fields.hash_grid import HashColor
-from tests.stages.viewing.room import furnished
+from tests.stages.viewing.room import PALETTE, furnished
 
 
 @pytest.fixture
@@ -32,6 +33,26 @@ def test_the_newest_checkpoint_is_shown(library):
     assert shown is not None and shown.field.density is source.field.density
     np.testing.assert_array_equal(shown.field.color.values, made[1].values)
     assert (shown.field.color.finest, shown.field.color.base) == (256, BASE_CELLS)
+
+
+@pytest.mark.parametrize("fault", ["", "nan", "missing"])
+def test_a_regions_edit_is_shown_as_it_has_been_learned_so_far(library, fault):
+    made = PaletteModule.create(np.random.default_rng(0), PALETTE, np.float32([[0, 0, 0], [1, 1, 1]]))
+    made.active = np.array([True, False, True, True])
+    arrays = {f"module.{key}": values.copy() for key, values in made.arrays().items()}
+    if fault == "nan":
+        arrays["module.networks"][2] = np.nan
+    elif fault == "missing":
+        del arrays["module.table"]
+    folder = library.work.root / "edit" / ".new.partial" / "checkpoint"
+    folder.mkdir(parents=True)
+    assert half_learned(library.work, "new") is None
+    save_checkpoint(folder, {"state": {}, "module": made.describe()}, {**arrays, "active": made.active})
+    found = half_learned(library.work, "new")
+    assert (found is None) == bool(fault)
+    if found is not None:
+        x, toward = np.random.default_rng(1).random((2, 50, 3)).astype(np.float32)
+        np.testing.assert_array_equal(found.module.colors(x, toward), made.colors(x, toward))
 
 
 @pytest.mark.parametrize("fault", ["nan", "length", "finest", "kind"])

@@ -4,6 +4,9 @@ With STYLERF_SCREENSHOTS=FOLDER the page is also saved as a PNG, to look at.
 """
 
 import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -20,6 +23,7 @@ from tests.stages.viewing.room import furnished
 from tests.stages.viewing.tab import SOFTWARE_GL, Tab, until
 
 WIDTH, HEIGHT = 900, 600
+SHIFT = 8  # as DevTools counts modifiers
 in_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)")
 
 
@@ -60,7 +64,7 @@ def test_a_picture_appears_and_moves_with_the_camera(viewer, tab):
     assert until(lambda: desk.painter.pose(page) != pose)
     assert until(lambda: desk.painter.exact(page) is not None)
     assert until(lambda: np.abs(tab.view().astype(int) - before).max() > 8)
-    assert tab.browser.errors == []
+    assert tab.errors == []
 
 
 @in_browser
@@ -77,7 +81,49 @@ def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
     assert until(lambda: viewer.desk.painter.exact(page) is not None)
     tab.choose("Undo")
     assert until(lambda: "nothing is selected" in tab.words())
-    assert tab.browser.errors == []
+    assert tab.errors == []
+
+
+@in_browser
+def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, tab):
+    desk = viewer.desk
+    page = next(iter(desk.painter._pages))
+    box = tab.canvas()
+    x, y = box["x"] + box["width"] * 0.35, box["y"] + box["height"] * 0.5
+    pose = desk.painter.pose(page)
+    for pointer, name in (("click", "at"), ("erase", "avoid")):
+        viewer.page.controls["pointer"].value = pointer
+        time.sleep(0.5)
+        before = len(getattr(desk.history.now, name))
+        tab.press(x, y, to=(x + 60, y + 20), modifiers=SHIFT)
+        assert until(lambda before=before, name=name: len(getattr(desk.history.now, name)) > before + 1), tab.words()
+    seeds = desk.history.now.at
+    views = {view.name for view in desk.library.scene.views}
+    assert len(seeds) > 2 and {seed.partition(":")[0] for seed in seeds} <= views
+    assert desk.painter.pose(page) == pose, "a stroke leaves the camera alone"
+    assert "/stroke" not in [handle.name for handle in _drawn(viewer)]
+    viewer.page.controls["pointer"].value = "box"
+    time.sleep(0.5)
+    tab.press(x, y, to=(x + 60, y + 40), modifiers=SHIFT)
+    assert until(lambda: desk.history.now.box), tab.words()
+    tab.press(x, y, to=(x + 60, y + 20))
+    assert until(lambda: desk.painter.pose(page) != pose)
+    assert desk.history.now.at == seeds
+    viewer.page.controls["pointer"].value = "look"
+    desk.clear_selection()
+    assert tab.errors == []
+
+
+def _drawn(viewer):
+    """What is drawn in the scenes of its pages."""
+    pages = viewer._server.get_clients().values()
+    return [one for page in pages for one in page.scene._handle_from_node_name.values()]
+
+
+def test_the_page_is_served_before_torch_is_imported():
+    pytest.importorskip("viser")
+    code = "import sys, viser, stages.viewing.server, stages.viewing.page; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=120).returncode == 0
 
 
 def test_only_the_viewers_own_pages_are_served(viewer):

@@ -13,6 +13,7 @@ from stylerf.editing.selection import (
     inside_box,
     inside_sphere,
     modes,
+    nearest_within,
     padded,
     shell,
     shown_by_masks,
@@ -157,3 +158,14 @@ def test_widening_is_scipys_dilation_by_all_neighbors(width):
     marked[0, 0, 14] = True
     expected = ndimage.binary_dilation(marked, np.ones((3, 3, 3)), iterations=width) if width else marked
     np.testing.assert_array_equal(widened(marked, width), expected)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.2, 0.7, 1.0])
+def test_the_nearest_marked_cells_are_those_of_a_distance_transform(share):
+    marked = np.random.default_rng(3).random((17, 18, 19)) < share
+    away, ends = ndimage.distance_transform_edt(~marked, return_indices=True)
+    near = (away > 0) & (away <= 2.0) if marked.any() else marked
+    found, nearest = nearest_within(marked, 2.0)
+    order = np.argsort(found)
+    np.testing.assert_array_equal(found[order], np.flatnonzero(near))
+    np.testing.assert_array_equal(np.stack(np.unravel_index(nearest[order], marked.shape)), ends[:, near])
