@@ -100,7 +100,6 @@ class StylizationTrainer:
     """Trains a method's scene to the end of its budget.
 
     until: Step of the last phase to end after, before the end of the budget; 0: none.
-
     between_steps: Whether a checkpoint taken now is of a whole step.
     """
 
