@@ -21,7 +21,7 @@ from stylerf.kernels.cpu.compiling import set_threads
 
 EXPORT_FILE = "export.json"
 SPEC = Spec(
-    stage="export", verb="export", revision=1, writes="export",
+    stage="export", verb="export", revision=2, writes="export",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
 

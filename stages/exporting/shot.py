@@ -1,7 +1,7 @@
 """A whole shot as one USD file: the animated camera of a path and the field as a mesh or splats, y up."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import scale_of
@@ -12,27 +12,41 @@ from stages.exporting.surface import surface_of
 from stylerf.splats.similarity import moved_gaussians
 
 
+class _Geometry(NamedTuple):
+    """The field in a shot.
+
+    Attributes:
+        notes: What its colors are, for export.json.
+        add: Adds it to the stage of a file.
+        beside: Files with it that are written already.
+    """
+
+    notes: dict[str, object]
+    add: Callable[[Any, ExportedFile], None]
+    figures: dict
+    beside: list[ExportedFile]
+
+
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the shot in every chosen format; return the files and the figures."""
     cameras = [camera for camera, _ in shots_along(job.scene, job.config.along, job.config.count)]
-    colors, add_geometry, figures = _splats(job) if job.config.geometry == "splats" else _mesh(job)
-    bounds, files = job.scene.bounds, []
+    geometry = _splats(job) if job.config.geometry == "splats" else _mesh(job)
+    bounds, files = job.scene.bounds, geometry.beside
     for name in job.config.chosen:
         to = job.placed(
             f"shot.{name}", "y", camera_axes="OpenGL", fps=job.config.fps,
-            meters_per_unit=job.config.meters_per_unit, **colors,
+            meters_per_unit=job.config.meters_per_unit, **geometry.notes,
         )  # fmt: skip
         scale = scale_of(to.file_from_scene)
         stage = usd_stage.new_stage(job.folder / to.path, job.config)
         usd_stage.add_camera(stage, placed_cameras(cameras, to), (bounds.near * scale, bounds.far * scale))
-        add_geometry(stage, to)
+        geometry.add(stage, to)
         usd_stage.save(stage)
         files.append(to)
-    return files, {"cameras": len(cameras), **figures}
+    return files, {"cameras": len(cameras), **geometry.figures}
 
 
-def _mesh(job: ExportJob) -> tuple[dict, Callable[[Any, ExportedFile], None], dict]:
-    """Return what the colors are, how the field's mesh is added to the stage of a file, and figures."""
+def _mesh(job: ExportJob) -> _Geometry:
     surface = surface_of(job)
 
     def add(stage: Any, to: ExportedFile) -> None:
@@ -40,15 +54,14 @@ def _mesh(job: ExportJob) -> tuple[dict, Callable[[Any, ExportedFile], None], di
         usd_stage.add_mesh(stage, placed.mesh.vertices, placed.mesh.faces, placed.normals, placed.linear_colors)
 
     figures = {"vertices": len(surface.mesh.vertices), "faces": len(surface.mesh.faces)}
-    return {"vertex_colors": "linear Rec.709"}, add, figures
+    return _Geometry({"vertex_colors": "linear Rec.709"}, add, figures, [])
 
 
-def _splats(job: ExportJob) -> tuple[dict, Callable[[Any, ExportedFile], None], dict]:
-    """Return the same for the field's splats."""
+def _splats(job: ExportJob) -> _Geometry:
     splat_usd.check_usd()  # before anything is computed
     made, figures = splats.splats_of(job)
 
     def add(stage: Any, to: ExportedFile) -> None:
         splat_usd.add_splats(stage, moved_gaussians(made, to.file_from_scene))
 
-    return {"colors": splats.COLORS}, add, figures
+    return _Geometry({"colors": splats.COLORS}, add, figures, [splats.written(job, "ply", made)])

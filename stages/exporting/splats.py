@@ -29,6 +29,7 @@ from stylerf.splats.surface_points import SurfacePoints, picture_and_points
 from stylerf.splats.views import views_to_learn
 
 COLORS = "spherical harmonics of sRGB-encoded, display-referred colors"
+USD_FORMATS = {"usdc", "usda"}  # get a PLY beside them: programs that read USD may not know its splats yet
 NEAR = 0.05  # of the scene's nearest depth: centers nearer to a camera are not drawn
 FARTHEST = 30.0  # of the scene's farthest depth: where the opaque background of a capture is put
 VIEW_TIME = 0.3  # of a budget of time, for rendering the views to learn from
@@ -49,7 +50,8 @@ class _View:
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the splats in every chosen format; return the files and the figures."""
     splats, figures = splats_of(job)
-    return [_written(job, name, splats) for name in job.config.chosen], figures
+    names = dict.fromkeys(job.config.chosen) | ({"ply": None} if USD_FORMATS & set(job.config.chosen) else {})
+    return [written(job, name, splats) for name in names], figures
 
 
 def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
@@ -163,7 +165,7 @@ def _over(rgb: np.ndarray, alpha: np.ndarray, level: float) -> np.ndarray:
     return np.clip(rgb + (1 - alpha[..., None]) * np.float32(level), 0, 1)
 
 
-def _written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
+def written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
     """Write one format. PLY keeps the axes of the units, as 3DGS does; in the other formats y is up."""
     up = "" if name == "ply" else "y"
     to = job.placed(f"splats.{name}", up, colors=COLORS)

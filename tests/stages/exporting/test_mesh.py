@@ -171,6 +171,7 @@ def test_a_shot_of_splats_holds_the_splats_of_the_field_where_its_mesh_is(inputs
     )
     path = shot.path / "shot.usda"
     assert complaints(path) == []
+    assert (shot.path / "splats.ply").read_bytes().startswith(b"ply")  # for what does not know the prim
     stage = Usd.Stage.Open(str(path))
     assert not stage.GetPrimAtPath("/shot/mesh")
     centers = np.array(UsdVol.ParticleField3DGaussianSplat.Get(stage, "/shot/splats").GetPositionsAttr().Get())

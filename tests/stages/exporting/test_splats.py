@@ -61,6 +61,17 @@ def test_steps_repeat_to_the_bit(made, inputs, tmp_path):
         assert (again.path / name).read_bytes() == (made.path / name).read_bytes()
 
 
+def test_a_usd_file_of_splats_has_a_ply_beside_it(inputs, tmp_path):
+    volumes = pytest.importorskip("pxr.UsdVol")
+    if not hasattr(volumes, "ParticleField3DGaussianSplat"):
+        pytest.skip("the installed OpenUSD has no prim for splats")
+    made = exported(tmp_path, inputs, formats="usda", **SMALL | {"budget": "1"})
+    assert made.manifest.figures["files"] == ["splats.usda", "splats.ply"]
+    stage = pytest.importorskip("pxr.Usd").Stage.Open(str(made.path / "splats.usda"))
+    positions = volumes.ParticleField3DGaussianSplat.Get(stage, "/shot/splats").GetPositionsAttr().Get()
+    assert len(positions) == len(centers_of(made.path / "splats.ply"))
+
+
 def test_a_field_that_shows_nothing_is_refused(inputs, tmp_path):
     work = WorkFolder(tmp_path / "work")
     empty = solid(lambda points: ball(points - 9.0), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
