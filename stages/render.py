@@ -48,7 +48,7 @@ from stylerf.rendering.deep import DeepCollector, DeepView
 from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture, render_view
 
 SPEC = Spec(
-    stage="render", verb="render", revision=3, writes="frames",
+    stage="render", verb="render", revision=4, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
 Renderer = Callable[[Camera, Mapping[str, np.ndarray]], tuple[RenderedView, DeepView | None]]

@@ -1,5 +1,7 @@
 """Films: what a player reads back of them, by PyAV and, where that is not installed, by Pillow."""
 
+import io
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -92,6 +94,18 @@ def test_mp4_holds_every_frame_at_its_time(pictures, tmp_path, fps):
         assert np.argmin(errors) == number
         # Color is stored at half the size, which sharp edges between strong colors show.
         assert -10 * np.log10(errors[number] / 255**2) > 21
+
+
+def test_the_same_frames_are_the_same_bytes_each_time():
+    pytest.importorskip("av")
+    ground = np.random.default_rng(0).integers(0, 255, (64, 64, 3))
+    frames = [((ground * np.cos(at / 9) ** 2 + np.roll(ground, 3 * at, 1)) / 2).astype(np.uint8) for at in range(24)]
+    films = set()
+    for _ in range(30):
+        film = io.BytesIO()
+        video._encode(film, frames, 24.0)
+        films.add(film.getvalue())
+    assert len(films) == 1
 
 
 def test_a_film_that_no_encoder_makes_is_refused_without_its_frames(monkeypatch):
