@@ -144,7 +144,8 @@ def _measured(job: ExportJob, splats: Gaussians) -> dict:
         job.say("the scene has no held-out views: the splats are not measured")
         return {}
     level = level_of(load_field(job.inputs["field"])[1])
-    photos = shows_its_pictures(job.inputs["field"])
+    # A fine-tuned field shows the edited photos that it was trained on, not the scene's.
+    photos = shows_its_pictures(job.inputs["field"]) and job.inputs["field"].manifest.stage != "finetune"
     found: dict[str, list[float]] = {"psnr_to_field": [], "psnr_to_photos": [], "field_psnr_to_photos": []}
     for index in held_out if len(held_out) <= MEASURED_VIEWS else spread(held_out, MEASURED_VIEWS):
         camera, threads = job.scene.cameras[index], job.context.threads

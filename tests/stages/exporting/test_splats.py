@@ -55,6 +55,15 @@ def test_splats_look_like_the_field_from_held_out_views(made):
     assert {"psnr_to_photos", "field_psnr_to_photos"} <= set(figures)
 
 
+@pytest.mark.parametrize("stage", ["stylize", "recolor", "finetune"])
+def test_splats_of_an_edited_field_are_not_compared_with_the_photos(inputs, tmp_path, stage):
+    work, scene = WorkFolder(tmp_path / "work"), inputs["scene"]
+    field = solid(lambda points: ball(points - CENTER), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
+    edited = commit(work, "field", "edited", stage, {"scene": scene}, lambda at: save_field(at, field, "white"))
+    figures = exported(tmp_path / "out", {"scene": scene, "field": edited}, **SMALL | {"budget": "1"}).manifest.figures
+    assert "psnr_to_field" in figures and "psnr_to_photos" not in figures
+
+
 def test_steps_repeat_to_the_bit(made, inputs, tmp_path):
     again = exported(tmp_path, inputs, formats="ply,glb", **SMALL)
     for name in ("splats.ply", "splats.glb"):
