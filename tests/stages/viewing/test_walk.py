@@ -86,6 +86,7 @@ class Film:
     """Pictures of the walk."""
 
     def __init__(self, folder: Path, scene: str) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.scene, self.frames = folder, scene, list[Image.Image]()
 
     def take(self, tab: Tab, name: str = "", shown: int = 1) -> None:
