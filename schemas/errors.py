@@ -25,7 +25,7 @@ class UsageError(StylerfError):
 
 
 class TrainedFurther(UsageError):
-    """An interrupted run has passed the step that it was to end at."""
+    """An interrupted run is already past the step at which it should end."""
 
     keeps_run = True
 

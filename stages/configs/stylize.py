@@ -109,7 +109,7 @@ class StylizeConfig:
         0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
     )
     until: int = advanced(
-        0, LIMITS, extent=True, help="end early, after this many style steps, as an interrupted run too (0: do not)"
+        0, LIMITS, extent=True, help="end after this many style steps; resumed there, at once (0: use up the budget)"
     )
     checkpoint_every_seconds: float = advanced(20.0, LIMITS, help="time between checkpoints", incidental=True)
 

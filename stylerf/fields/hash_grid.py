@@ -222,7 +222,7 @@ class HashFeatures(TableFeatures):
         return cls(Levels.restore(data, ROW))
 
 
-DETAIL = 5.0  # widths of a cell of the finest level: from here on levels learn more slowly, see HashColor
+DETAIL = 5.0  # levels whose cells are narrower than this many of the finest are slowed by HashColor.detail_rate
 
 
 class HashColor:

@@ -139,7 +139,7 @@ def test_an_anchored_scene_bends_and_keeps_its_hidden_layers_and_its_place(scene
 
 
 def test_an_anchored_scene_is_resumed_where_it_was(scene):
-    """Where a stylization goes on, biases follow the weights from where they were."""
+    """After a checkpoint is restored, biases follow the weights from where they were."""
     pull = np.random.default_rng(5).normal(size=8**3 * 3).astype(np.float32)
 
     def taught(deformer: Deformer) -> Deformer:
