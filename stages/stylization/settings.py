@@ -43,8 +43,8 @@ SLOPE, STEEPEST = 0.7, 0.9
 DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose silhouettes bend them sooner
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
-DEFORMED_CAPTURE = {"structure_weight": 1.0}  # edges that may not move do not bend (decision 0050)
-DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "structure_weight": 0.0, "coarse": 0.6}
+DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
+DEFORMED = {"structure_weight": 1.0}  # of transport: edges that may not move do not bend (decision 0050)
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "coarse": 0.0}
@@ -160,8 +160,8 @@ def settings_of(
     defaults = of_image = DEFAULTS[loss]
     if isinstance(config, DesrfConfig) and not opaque_background:
         defaults = defaults | DEFORMED_OBJECT
-    elif isinstance(config, DesrfConfig) and loss == "transport":
-        defaults = defaults | DEFORMED_CAPTURE
+    if isinstance(config, DesrfConfig) and loss == "transport":
+        defaults = defaults | DEFORMED
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:

@@ -6,6 +6,7 @@ Each step compares one rendered view with the style image. The gradient of the i
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,15 +23,19 @@ from stylerf.style.style_objective import (
     GramObjective,
     StyleObjective,
     TransportObjective,
+    cell_colors,
+    luma_gradient,
     window_of,
 )
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.geometry import Record
 from stylerf.training.stylize.scene import CONTENT, PIXELS_AT_ONCE, StyledScene
 from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings
+from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 from stylerf.training.stylize.trainer import StyleMethod
 
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective, "transport": TransportObjective}
+MIRRORS = 0.05  # fraction of the memory
 
 
 class ViewLoss:
@@ -60,6 +65,12 @@ class ViewLoss:
         self.memory = free_on(self.device, 2 * scene.problem.memory) / 2
         self._objective: StyleObjective | None = None
         self._content = self._new_cache()
+        self.of_object = not scene.fills_views and not scene.of_region
+        self.backdrop = torch.from_numpy(scene.backdrop).to(self.device)[:, None, None]
+        self._mirrors = BoundedCache(
+            lambda view: mirror_pixels(scene.fixed.alpha(view)), lambda made: made.nbytes, len(scene.cameras),
+            MIRRORS * self.memory,
+        )  # fmt: skip
 
     @property
     def objective(self) -> StyleObjective:
@@ -84,7 +95,8 @@ class ViewLoss:
 
     def _new_cache(self) -> BoundedCache[Content]:
         def content(view: int) -> Content:
-            return self.objective.content_of(self.to_device(self.scene.photos[view]), self.windows[view])
+            photo, alpha = self.to_device(self.scene.photos[view]), self.at_rest(view)
+            return self.objective.content_of(self.without_background(view, photo, alpha), self.windows[view])
 
         return BoundedCache(content, lambda made: made.bytes, len(self.scene.cameras), CONTENT * self.memory)
 
@@ -100,10 +112,43 @@ class ViewLoss:
 
     def of_view(self, view: int) -> ImageLoss:
         """The loss of a view's image."""
-        objective, content = self.objective, self.content(view)
+        objective, content = self.objective, self.moved(view, self.content(view))
         coverage, window = self.coverage(view), self.windows[view]
         objective.draw = self.scene.state.step
-        return lambda image: objective(image, content, coverage, window)
+        return lambda image: objective(self.without_background(view, image, coverage), content, coverage, window)
+
+    def without_background(self, view: int, image: Tensor, alpha: Tensor | None) -> Tensor:
+        """The view's image [3, h, w], with the object mirrored beyond its silhouette instead of the background.
+
+        Where the silhouette may bend, the style image's mean color is behind it instead, so that it shows.
+        """
+        if not self.of_object or alpha is None:
+            return image
+        background = float(self.scene.background)
+        if self.scene.deformer is not None:
+            return over(image, alpha, background, self.backdrop)
+        return over(image, alpha, background, object_colors(image, alpha, self.mirror(view), background))
+
+    def at_rest(self, view: int) -> Tensor:
+        """The coverage of a view before anything moved, [h, w]."""
+        return torch.from_numpy(self.scene.fixed.alpha(view)).to(self.device)
+
+    def mirror(self, view: int) -> Tensor:
+        """See mirror_pixels; of the object before anything moved."""
+        return torch.from_numpy(self._mirrors[view]).to(self.device)
+
+    def moved(self, view: int, content: Content | None) -> Content | None:
+        """Content with the colors and edges of the photo where the object is now.
+
+        Beyond the photo's silhouette, a part that has grown would learn the color of the background.
+        """
+        alpha, background = self.coverage(view), float(self.scene.background)
+        if self.scene.deformer is None or not self.of_object or content is None or alpha is None:
+            return content
+        photo = self.to_device(self.scene.photos[view])
+        colors = object_colors(photo, self.at_rest(view), self.mirror(view), background)
+        wanted = alpha * colors + (1 - alpha) * self.backdrop
+        return replace(content, colors=cell_colors(wanted), edges=luma_gradient(wanted).half())
 
 
 AROUND = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing

@@ -10,8 +10,10 @@ from stylerf.errors import InvalidValue
 from stylerf.style.color_matching import in_brightness_of, in_colors_of, match_colors, spread_at_most
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageOptimization
+from stylerf.style.style_objective import Content, StyleObjective
 from stylerf.training.stylize.arf import OBJECTIVES
 from stylerf.training.stylize.settings import ImageStyleSettings
+from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 
 RATE = 0.03  # Adam's learning rate of the pixels, as for SNeRF's images
 
@@ -60,6 +62,16 @@ def painted_photo(
             start = _recolored(plain, style_colors, alpha)
     start, alpha = start.to(device), None if alpha is None else alpha.to(device)
     made = ImageOptimization(start, alpha, background, RATE)
+    mirror = None if mask is None else torch.from_numpy(mirror_pixels(mask)).to(device)
+
+    def shown(image: Tensor) -> Tensor:
+        if alpha is None or mirror is None:
+            return image
+        return over(image, alpha, background, object_colors(image, alpha, mirror, background))
+
+    def loss(objective: StyleObjective, content: Content | None, image: Tensor) -> tuple[Tensor, dict[str, float]]:
+        return objective(shown(image), content, alpha)
+
     scale = 0.0
     for at in range(steps):
         wanted = settings.feature_scale * (0.5 if at < settings.coarse * steps else 1.0)
@@ -70,9 +82,9 @@ def painted_photo(
                 settings.style_basis, settings.style_scale, seed, settings.variation, 0, settings.diversity,
                 settings.stroke, settings.rotations, settings.keep_colors,
             )  # fmt: skip
-            content = objective.content_of(start) if settings.weights.need_photo else None
+            content = objective.content_of(shown(start)) if settings.weights.need_photo else None
         objective.draw = at
-        made.step(partial(objective, content=content, alpha=alpha), 1 - at / steps)
+        made.step(partial(loss, objective, content), 1 - at / steps)
     painted = made.seen().cpu()
     if settings.match in ("both", "after"):
         painted = _recolored(painted, style_colors, None if alpha is None else alpha.cpu())

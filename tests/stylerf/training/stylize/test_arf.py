@@ -19,6 +19,7 @@ from stylerf.training.stylize import geometry
 from stylerf.training.stylize.arf import Arf
 from stylerf.training.stylize.scene import CPU, MEMORY, StyleBackend
 from stylerf.training.stylize.settings import ArfSettings, DesrfSettings
+from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 from stylerf.training.stylize.trainer import StylizationTrainer
 from tests.stylerf.small import float64, oracle_color
 from tests.stylerf.style.small_trunk import small_trunk
@@ -80,9 +81,14 @@ def oracle_loss(made: StylizationTrainer, view: int, premultiplied: torch.Tensor
         0,
     )
     alpha = float64(made.scene.geometry.alpha(view))
-    content = objective.content_of(float64(made.scene.photos[view]).permute(2, 0, 1))
+    mirror = torch.from_numpy(mirror_pixels(alpha.numpy()))
+
+    def without_background(picture: torch.Tensor) -> torch.Tensor:
+        return over(picture, alpha, GRAY, object_colors(picture, alpha, mirror, GRAY))
+
+    content = objective.content_of(without_background(float64(made.scene.photos[view]).permute(2, 0, 1)))
     rgb = premultiplied.reshape(HEIGHT, WIDTH, 3) + (1 - alpha[..., None]) * GRAY
-    return objective(rgb.permute(2, 0, 1), content, alpha)[0]
+    return objective(without_background(rgb.permute(2, 0, 1)), content, alpha)[0]
 
 
 def oracle_gradients(made: StylizationTrainer, view: int, parts: int) -> tuple[np.ndarray, np.ndarray]:

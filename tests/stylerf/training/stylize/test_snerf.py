@@ -58,7 +58,9 @@ def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
     content, coverage = one.method.loss.content(view), torch.from_numpy(alpha)
     expected, again = painted(
         torch.from_numpy(rgb).permute(2, 0, 1).contiguous(), coverage, GRAY,
-        lambda p: one.method.loss.objective(p, content, coverage, one.method.loss.windows[view]), 5, 0.03,
+        lambda p: one.method.loss.objective(
+            one.method.loss.without_background(view, p, coverage), content, coverage, one.method.loss.windows[view]
+        ), 5, 0.03,
     )  # fmt: skip
     assert np.abs(one.method.images[view] / 255 - expected).max() <= 0.5 / 255 + 1e-6 and parts == again
     assert np.abs(expected - rgb).max() > 0.05
