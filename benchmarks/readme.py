@@ -344,6 +344,59 @@ def looks() -> str:
     return "\n".join([*lines, "", f"Transport: {targets}. " + where(report)])
 
 
+METHOD_COLUMNS = {
+    "sifid": "style, SIFID",
+    "judge_gram": "style, Gram",
+    "edges_kept": "edges kept",
+    "short_rmse": "short-range error",
+    "long_rmse": "long-range error",
+    "seconds": "seconds",
+    "peak_memory_mb": "memory, MB",
+}
+
+
+def method_ranks() -> str:
+    """Markdown of the methods by their mean ranks, with values relative to the mean over methods; empty if not run."""
+    if not (RESULTS / "methods.json").is_file():
+        return ""
+    report = result("methods.json")
+    columns = [column for column in METHOD_COLUMNS if any(one["column"] == column for one in report["standings"])]
+    lines = [
+        "| method | " + " | ".join(METHOD_COLUMNS[column] for column in columns) + " |",
+        "|---" * (1 + len(columns)) + "|",
+    ]
+    for method in dict.fromkeys(one["method"] for one in report["standings"]):
+        found = {one["column"]: one for one in report["standings"] if one["method"] == method}
+        values = (f"{found[c]['rank']:.1f} ({found[c]['relative']:.2f})" if c in found else "–" for c in columns)
+        lines.append(f"| {method} | {' | '.join(values)} |")
+    blocks = max(one["blocks"] for one in report["standings"])
+    over = f"Over {blocks} pairs of a scene and a painting. {report['artifacts']} artifacts took {report['job_hours']} hours of jobs."
+    return "\n".join([*lines, "", f"{over} {where(report)}"])
+
+
+def method_cells() -> str:
+    """Markdown of every scene, painting and method; empty if not run."""
+    if not (RESULTS / "methods.json").is_file():
+        return ""
+    report = result("methods.json")
+    columns = [column for column in METHOD_COLUMNS if any(column in cell["values"] for cell in report["cells"])]
+    lines = [
+        "| scene | painting | method | seeds | " + " | ".join(METHOD_COLUMNS[column] for column in columns) + " |",
+        "|---" * (4 + len(columns)) + "|",
+    ]
+    for cell in sorted(report["cells"], key=lambda cell: (cell["scene"], cell["style"])):
+        place = f"{cell['scene']} | {cell['style']} | {cell['method']} | {len(cell['seeds'])}"
+        lines.append(f"| {place} | {' | '.join(_mean_and_spread(cell['values'].get(c)) for c in columns)} |")
+    return "\n".join(lines)
+
+
+def _mean_and_spread(value: dict | None) -> str:
+    if value is None:
+        return "–"
+    spread = "" if value["spread"] is None else f" ± {value['spread']:.2g}"
+    return f"{value['mean']:.3g}{spread}" if value["mean"] < 1000 else f"{value['mean']:.0f}{spread}"
+
+
 def stress() -> str:
     """The heat map of methods under faults, and total success rates; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
@@ -456,6 +509,7 @@ BLOCKS = {
         "scenes": scenes_under_stress,
         "remedies": remedies,
     },
+    "docs/methods-compared.md": {"ranks": method_ranks, "cells": method_cells},
     "docs/performance.md": {"profile": profile, "looks": looks},
 }
 # By picture name, which starts with the name of its result file.

@@ -75,9 +75,9 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=8, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=9, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
-    "nnfm", "gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "color_distribution",
+    "nnfm", "gram", "judge_gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "color_distribution",
     "speckle",
 )  # fmt: skip
 CONTENT_KEYS = ("content_ssim", "edges_kept")

@@ -129,6 +129,11 @@ STYLE = (
         "NNFM.",
     ),
     MetricDefinition(
+        "judge_gram", "Gram distance, {style_network}", "", "lower", 4,
+        "|G - G_s| / |G_s| of the Gram matrices of {style_network}, weighted by alpha; network and sizes as for the "
+        "SIFID-style distance.",
+    ),
+    MetricDefinition(
         "sifid", "SIFID-style distance, {style_network}", "", "lower", 3,
         "Squared Frechet distance between the features of {style_network} at the positions of the render and of "
         "{style_label}, sizes as for NNFM; a position counts once if more than half of it is opaque. The network is "

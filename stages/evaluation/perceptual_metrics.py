@@ -100,10 +100,11 @@ def _load(found: resolve.ResolvedExtractor | None, device: str) -> PerceptualNet
 
 @dataclass(frozen=True, eq=False)
 class StyleFeatures:
-    """Features of the style image at one size: rows to match against, Gram matrix, moments of the judge's features."""
+    """Features of the style image at one size: rows to match against; Gram matrix, also of the judge; its moments."""
 
     rows: StyleRows
     gram: Tensor
+    judge_gram: Tensor
     moments: Moments
 
 
@@ -142,8 +143,8 @@ class StyleImage:
         )
 
     @torch.no_grad()
-    def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float]:
-        """Distances of an image [h, w, 3] with alpha [h, w]: NNFM, relative Gram, SIFID-style.
+    def distances(self, image: np.ndarray, alpha: np.ndarray) -> tuple[float, float, float, float]:
+        """Distances of an image [h, w, 3] with alpha [h, w]: NNFM, relative Gram, that of the judge, SIFID-style.
 
         NNFM: mean of 1 - cosine to the nearest style feature. SIFID-style: squared Frechet distance between features of
         the judge. All NaN if the image is transparent.
@@ -153,12 +154,12 @@ class StyleImage:
         fine, found = self._features(fitted(_batch(image, self.device)[0], side))
         coverage, fine_coverage = (self._coverage(alpha, features) for features in (found, fine))
         if float(coverage.sum()) <= 0 or float(fine_coverage.sum()) <= 0:
-            return (float("nan"),) * 3
+            return (float("nan"),) * 4
         nearest, _ = nearest_neighbor_distance(found, style.rows, coverage)
-        gram = style.gram
-        difference = torch.linalg.norm(gram_matrix(found, coverage) - gram) / torch.linalg.norm(gram)
+        gram = _relative(gram_matrix(found, coverage), style.gram)
+        judge_gram = _relative(gram_matrix(fine, fine_coverage), style.judge_gram)
         sifid = frechet_squared(_moments(fine, fine_coverage > 0), style.moments)
-        return float(nearest.sum() / coverage.sum()), float(difference), sifid
+        return float(nearest.sum() / coverage.sum()), gram, judge_gram, sifid
 
     @functools.cached_property
     def colors(self) -> np.ndarray:
@@ -187,13 +188,17 @@ class StyleImage:
             (fine,) = style_features(self._judging, picture, limited=False).values()
             everywhere = torch.ones(fine.shape[1:], dtype=torch.bool, device=fine.device)
             self._features_by_side[side] = StyleFeatures(
-                style_rows(found, most=None), gram_matrix(found), _moments(fine, everywhere)
+                style_rows(found, most=None), gram_matrix(found), gram_matrix(fine), _moments(fine, everywhere)
             )
         return self._features_by_side[side]
 
     def _features(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """Features [c, h, w] of the judge, and of the layers of conv3 concatenated."""
         return self._judging(image[None])[0][0], by_block(self.extractor.layers, self.extractor(image[None]))["conv3"]
+
+
+def _relative(found: Tensor, wanted: Tensor) -> float:
+    return float(torch.linalg.norm(found - wanted) / torch.linalg.norm(wanted))
 
 
 def _moments(features: Tensor, where: Tensor) -> Moments:

@@ -20,7 +20,8 @@ from stylerf.metrics.speckle import speckle
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
 Score = Callable[[np.ndarray, np.ndarray], float]
-StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float, float]]  # image, alpha -> NNFM, Gram, SIFID
+StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float, float, float]]
+# image, alpha -> NNFM, Gram, Gram of the judge, SIFID
 
 
 @dataclass
@@ -131,8 +132,8 @@ def measure_speckle(
 
 
 def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
-    """NNFM, Gram and SIFID-style distance of an image, where it is opaque, to the style image."""
-    row.measure(("nnfm", "gram", "sifid"), lambda: distances(image, alpha))
+    """NNFM, Gram and SIFID-style distances of an image, where it is opaque, to the style image."""
+    row.measure(("nnfm", "gram", "judge_gram", "sifid"), lambda: distances(image, alpha))
 
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:

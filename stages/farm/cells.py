@@ -10,8 +10,8 @@ from stages.comparison.runs import Run
 from stages.farm.jobs import Axes
 from stylerf.metrics.pareto import pareto_front
 
-# Style by a network that no method matched, and by Gram matrices; structure; consistency; then the cost.
-COLUMNS = ("sifid", "gram", "edges_kept", "short_rmse", "long_rmse", "seconds", "peak_memory_mb")
+# Style, by a network that no method matched; structure; consistency; then the cost.
+COLUMNS = ("sifid", "judge_gram", "edges_kept", "short_rmse", "long_rmse", "seconds", "peak_memory_mb")
 COSTS = {"seconds": ("Time", "s", "lower", 0), "peak_memory_mb": ("Peak memory", "MB", "lower", 0)}
 # Consistency and structure are shown against style alone: blur is consistent.
 STYLE, AGAINST = "sifid", ("seconds", "edges_kept", "short_rmse", "long_rmse")

@@ -46,15 +46,15 @@ def painted():
 def test_a_style_image_has_no_distance_to_itself(painted):
     painting = StyleImage(painted, FEATURES, 128, "cpu")
     ones = np.ones(painted.shape[:2], np.float32)
-    nearest, gram, sifid = painting.distances(painted, ones)
+    nearest, gram, judge_gram, sifid = painting.distances(painted, ones)
     assert nearest == pytest.approx(0, abs=1e-4) and gram == pytest.approx(0, abs=1e-4)
-    assert sifid == pytest.approx(0, abs=1e-4)
+    assert sifid == pytest.approx(0, abs=1e-4) and judge_gram == pytest.approx(0, abs=1e-4)
     other = made.look(made.camera(0, "any", (128, 96))).rgb
-    far_nearest, far_gram, far_sifid = painting.distances(other, ones)
-    assert far_nearest > 0.02 and far_gram > 0.1
+    far_nearest, far_gram, far_judge_gram, far_sifid = painting.distances(other, ones)
+    assert far_nearest > 0.02 and far_gram > 0.1 and far_judge_gram > 0.1
     shifted = painting.distances(np.roll(painted, 8, axis=1), ones)
     assert shifted[0] < far_nearest / 3  # the same strokes elsewhere
-    assert shifted[2] < far_sifid / 10
+    assert shifted[2] < far_judge_gram / 3 and shifted[3] < far_sifid / 10
 
 
 def test_transparent_pixels_take_no_part(painted):
