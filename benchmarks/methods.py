@@ -1,10 +1,10 @@
 """Every method on the same scenes and paintings: `python -m benchmarks.methods OUT.json [REMARK]`.
 
-Protocol: `stylerf farm benchmarks/tables/methods.yaml` runs one table. Steps of a method are those that it takes in 30 s
-on fern at 252x189 with one thread of the machine below, so every method has about the same time; fields, seeds and views
-are shared. Values are means over test views, then over seeds; rank: mean over scenes and paintings, 1 is best; relative:
-a value divided by the mean over methods. Style is judged by networks and blocks that no method matches. A farm that was
-interrupted goes on where it was: jobs are not run twice. `job_hours` sums the seconds of all artifacts.
+Protocol: `stylerf farm benchmarks/tables/methods.yaml` runs one table. Steps of a method are those that it takes in
+30 s on fern at 252x189 with one thread of the machine below, so every method has about the same time; fields, seeds and
+views are shared. Values are means over test views, then over seeds; rank: mean over scenes and paintings, 1 is best;
+relative: a value divided by the mean over methods. Style is judged by a network that no method matches. A farm that was
+interrupted continues where it was, so no job runs twice. `job_hours` sums the seconds of all artifacts.
 """
 
 import json

@@ -77,8 +77,8 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
 
 SPEC = Spec(stage="evaluate", verb="eval", revision=9, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
-    "nnfm", "gram", "judge_gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness", "color_distribution",
-    "speckle",
+    "nnfm", "gram", "judge_gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness",
+    "color_distribution", "speckle",
 )  # fmt: skip
 CONTENT_KEYS = ("content_ssim", "edges_kept")
 
