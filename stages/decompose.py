@@ -1,5 +1,7 @@
 """Decompose: a field with the same density whose colors mix a palette, learned from the photos (PaletteNeRF)."""
 
+import time
+
 import numpy as np
 import torch
 
@@ -31,6 +33,7 @@ WORKING_BYTES = 1e9  # what a step takes beside the cached views
 
 def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialArtifact, context: Context) -> dict:
     """Write the decomposed field and its palette; return the figures."""
+    begun = time.monotonic()
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -61,7 +64,9 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
     if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with compiling_note(context.progress.say):
-        train(trainer, "the decomposition", config, partial, context, {"refit": "new colors", "style": "palette"})
+        train(
+            trainer, "the decomposition", config, partial, context, {"refit": "new colors", "style": "palette"}, begun
+        )
         figures = method.figures()
     state, decomposed = trainer.state, trainer.scene.field
     save_field(partial.path, decomposed, background)

@@ -1,5 +1,6 @@
 """Stylize: a field with the same density, in the colors and strokes of a style image."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,7 @@ BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfa
 
 def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
     """Write the stylized field; return its figures, among them the curve of the loss."""
+    begun = time.monotonic()
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
     region = region_of_field(inputs["region"], inputs["field"], field) if "region" in inputs else None
@@ -98,7 +100,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):
-            train(trainer, "the stylization", config, partial, context, {"refit": "new colors"})
+            train(trainer, "the stylization", config, partial, context, {"refit": "new colors"}, begun)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     stylized, state = trainer.scene.field, trainer.state

@@ -1,5 +1,6 @@
 """From the options of a stylization to its settings (what `auto`, 0 and -1 stand for) and its training."""
 
+import time
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
@@ -207,16 +208,30 @@ def train(
     partial: PartialArtifact,
     context: Context,
     labels: Mapping[str, str],
+    begun: float,
 ) -> None:
-    """Train to the end. what: its name in errors. labels: of phases, where they are not the phases' names."""
-    shown = ""
+    """Train to the end, and say how long that takes in all.
+
+    Args:
+        what: Its name in errors.
+        labels: Of phases, where they are not the phases' names.
+        begun: When the stage began, time.monotonic().
+    """
+    shown, final = "", trainer.phases[-1]
     seconds, _ = budget_of(config.budget)
+    if seconds:
+        context.progress.say(
+            f"{seconds:.0f} s of style steps; on top of it come loading, new colors for the scene, and matching colors"
+        )
 
     def report(now: StylizationTrainer) -> None:
         nonlocal shown
         state, total = now.state, now.scene.budget.steps
         if state.phase != shown:
             shown = state.phase
+            if seconds and shown == final:
+                spent, left = time.monotonic() - begun, now.settings.seconds - state.seconds
+                context.progress.say(f"about {spent + left:.0f} s or more in all, {spent:.0f} s of it already spent")
             context.progress.start(labels.get(shown, shown), total or seconds, "step" if total else "s")
         last, note = state.curve[-1] if state.curve else {}, ""
         if last:
