@@ -373,7 +373,7 @@ def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path
     assert "no cell could be compared" in capsys.readouterr().err
 
 
-def test_what_stands_of_a_stress_that_was_stopped_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
+def test_a_stopped_stress_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
     baseline = tmp_path / "baseline.json"
     assert stress(folder, "--write-baseline", str(baseline)) == 0
     kept = baseline.read_bytes()

@@ -49,7 +49,7 @@ def test_a_module_answers_as_on_the_cpu(removed, device):
     assert there.weights(x[:0]).shape == (0, 4 - len(removed))
 
 
-def test_points_beyond_the_box_count_to_its_sides_and_the_table_learns_there_too(device):
+def test_points_beyond_the_box_count_to_its_sides_and_learn_there(device):
     from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
     made, x = module(), np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.4, 0.45, 0.45]], np.float32)
@@ -117,7 +117,7 @@ def one_step(made: EditTrainer) -> EditTrainer:
     return made
 
 
-def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(device):
+def test_a_device_step_between_two_cpu_steps_equals_the_cpus(device):
     expected, begun = trainer(), one_step(trainer())
     for _ in range(3):
         one_step(expected)

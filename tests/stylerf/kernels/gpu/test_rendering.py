@@ -98,7 +98,7 @@ def test_the_device_walks_as_the_cpu_does(case, device):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_colors_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
+def test_colors_equal_the_oracle_above_the_weight_threshold(case, device):
     field, rays, _, rendered, _, _ = walked(case, device)
     packed, color = Packed.of(on_host(rendered.samples)), field.color
     largest = rendered.samples.largest.cpu().double()[packed.rays]
