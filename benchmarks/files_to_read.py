@@ -2,9 +2,9 @@
 
 `stylerf fit` and `stylerf stylize --method arf` are run on a few small photos, on the CPU, and every function of the
 project that is really called is recorded, and every class that is instantiated. What runs only because a module is
-imported is not: nobody reads it to follow the command. Kernels are compiled, so that no call of theirs is seen: from the
-functions that were called, those named in stylerf/kernels/cpu are followed statically. OUT.json holds, for each command,
-the number of files, their lines, and their names.
+imported is not: nobody reads it to follow the command. Kernels are compiled, so that no call of theirs is seen: from
+the functions that were called, those named in stylerf/kernels/cpu are followed statically. OUT.json holds, for each
+command, the number of files, their lines, and their names.
 """
 
 import ast

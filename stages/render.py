@@ -28,9 +28,7 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
-from stages.compositing.deep_frames import deep_samples
-from stages.compositing.exr_views import exr_view
-from stages.compositing.plates import StMaps, map_files, plate_camera, write_st_maps
+from stages.compositing import StMaps, deep_samples, exr_view, map_files, plate_camera, write_st_maps
 from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order

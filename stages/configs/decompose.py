@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from stages.configs import advanced, option
 from stages.configs.edit import PaletteConfig
 from stages.configs.fit import budget_of
-from stages.configs.views import pixel_of
+from stages.configs.view_syntax import pixel_of
 
 METHOD = "palettenerf"
 
