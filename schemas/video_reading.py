@@ -118,7 +118,7 @@ def _video(path: Path, shown: str) -> Iterator[tuple[Any, Any]]:
         raise OutOfResources(f"{shown}: reading video needs PyAV; pip install 'stylerf[video]'")
     import av
 
-    # Titles need not be UTF-8, and nothing reads them: PyAV before 19 must be told not to raise, later ones never do.
+    # Titles need not be UTF-8, and nothing reads them: PyAV before 19 raises by default, later ones never do.
     lenient: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
     try:
         with opened(path) as stream:
@@ -185,17 +185,15 @@ def _orientation(decoded: Any) -> tuple[int, int, int, int]:
     """Return the signs (a, b, c, d) of the display matrix: (x, y) is shown at (a x + c y, b x + d y)."""
     from av.sidedata.sidedata import Type
 
-    for item in decoded.side_data:
-        if item.type == Type.DISPLAYMATRIX:
-            values = np.frombuffer(bytes(item), np.int32)
-            if len(values) < 9:
-                return _IDENTITY
-            a, b, c, d = (int(values[place]) for place in (0, 1, 3, 4))
-            # The nearest quarter turn, mirrored or not.
-            if abs(a) + abs(d) >= abs(b) + abs(c):
-                return (-1 if a < 0 else 1, 0, 0, -1 if d < 0 else 1)
-            return (0, -1 if b < 0 else 1, -1 if c < 0 else 1, 0)
-    return _IDENTITY
+    stored = decoded.side_data.get(Type.DISPLAYMATRIX)  # by key: iteration yields values before PyAV 19, keys since
+    values = np.frombuffer(b"" if stored is None else bytes(stored), np.int32)
+    if len(values) < 9:
+        return _IDENTITY
+    a, b, c, d = (int(values[place]) for place in (0, 1, 3, 4))
+    # The nearest quarter turn, mirrored or not.
+    if abs(a) + abs(d) >= abs(b) + abs(c):
+        return (-1 if a < 0 else 1, 0, 0, -1 if d < 0 else 1)
+    return (0, -1 if b < 0 else 1, -1 if c < 0 else 1, 0)
 
 
 def _turned(pixels: np.ndarray, turn: tuple[int, int, int, int]) -> np.ndarray:
