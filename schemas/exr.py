@@ -17,7 +17,7 @@ import OpenEXR
 from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.color_spaces import COLOR_SPACES
 from schemas.cryptomatte import cryptomatte_attributes, cryptomatte_channels
-from schemas.errors import BadInput
+from schemas.errors import BadInput, one_line
 from schemas.json_numbers import LARGEST_SIDE
 from schemas.native_output import native_output_silenced
 from schemas.safe_reading import check_allowance, opened
@@ -295,11 +295,6 @@ def write_part(path: Path, header: dict[str, Any], channels: dict[str, np.ndarra
         except RuntimeError as error:
             message = f"the EXR writer failed ({one_line(error)})"
             raise refusal_of_disk(path, size) or OSError(errno.EIO, message, str(path)) from error
-
-
-def one_line(error: BaseException) -> str:
-    """Return an error's text, its type if it has none."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def write_st_map(path: Path | str, positions: np.ndarray) -> None:
