@@ -126,7 +126,7 @@ def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch
     ],
 )
 def test_references_that_are_none(work, paintings, capsys, reference, words):
-    """Told before any work, even of the stages before."""
+    """Reported before any work, even of the stages before."""
     write_png(paintings / "wide.png", np.zeros((64, 80, 3), np.uint8))
     views = json.loads((work / "scene/main/scene.json").read_text())["views"]
     held_out = next(view["name"] for view in views if view["split"] == "test")

@@ -38,7 +38,7 @@ def build(root, change_view=None, points=None, size=(6, 8), channels=4):
     truth = ExrView(np.ones((6, 8, 3)), np.ones((6, 8)), depth, depth, POSE, (9, 10, 4, 3), 1, 5)
     write_exr(begun.path / "truth/depth_001.exr", truth)
     bounds = Bounds(((-1, -1, -1), (1, 1, 1)), 1, 5)
-    scene = Scene(tuple(views), "object", "told", bounds, "alpha", as_matrix(np.eye(4)))
+    scene = Scene(tuple(views), "object", "given", bounds, "alpha", as_matrix(np.eye(4)))
     scene = dataclasses.replace(scene, truth=Truth("truth/depth_000.exr"))
     write_scene(begun.path, scene)
     if points is not None:

@@ -1,4 +1,4 @@
-"""Pairs are matched by several processes as by one, and what goes wrong in one of them is told."""
+"""Pairs are matched by several processes as by one, and errors of any one of them are reported."""
 
 import os
 import signal

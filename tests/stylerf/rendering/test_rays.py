@@ -184,14 +184,14 @@ def test_near_samples_learn_by_the_square_of_their_distance(kind):
     gradients[ray, :3] = 1.0
     at = float(rendered.samples.t[lit[0]])
     learned = {}
-    for even_from in (0.0, 0.5 * at, at, 2 * at, 4 * at):
+    for distance in (0.0, 0.5 * at, at, 2 * at, 4 * at):
         to = np.zeros((1, len(field.color.values)), np.float32)
-        backward(field, rendered, gradients, None, to, near_scaling_distance=even_from)
-        learned[even_from] = to[0]
+        backward(field, rendered, gradients, None, to, near_scaling_distance=distance)
+        learned[distance] = to[0]
     plain = learned.pop(0.0)
     assert np.abs(plain).max() > 0
-    for even_from, found in learned.items():
-        np.testing.assert_allclose(found, plain * min(1.0, at / even_from) ** 2, atol=1e-6 * np.abs(plain).max())
+    for distance, found in learned.items():
+        np.testing.assert_allclose(found, plain * min(1.0, at / distance) ** 2, atol=1e-6 * np.abs(plain).max())
 
 
 def test_alpha_inside_sums_the_weights_of_marked_cells():

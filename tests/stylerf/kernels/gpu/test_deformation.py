@@ -123,7 +123,7 @@ def learned(kind: str, device, rays: int = 14):
     from stylerf.fields.gpu.field import GpuField
 
     field = field_of(SPACES[kind], 3, CASES[kind](), 1 / 8, displacement_grid(6, reach=0.15))
-    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
+    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the background
     going = rays_into(SPACES[kind], rays, 4)
     cpu = render_rays(field, going, threads=1, weight_threshold=0.05)
     rendered = packed_on_device(cpu, going, device)

@@ -25,9 +25,9 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
     views = [view_of(number, side=24) for number in range(2)]
     views[0].transition[:100] = 0.5
     views[0].edges[50:90] = 0.7
-    painting, trunk = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
+    painting, extractor = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
     engine = edit_engine(None if device is None else str(device))
-    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, engine)
+    return EditTrainer(views, start_module(views, settings, 0), settings, painting, extractor, 0, 1, engine)
 
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])

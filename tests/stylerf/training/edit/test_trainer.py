@@ -22,8 +22,8 @@ SMALL = EditSettings(
 def trainer(count: int = 3, style: bool = False, seed: int = 0, threads: int = 2, views=None, **more) -> EditTrainer:
     settings = replace(SMALL, **more)
     views = [view_of(number) for number in range(count)] if views is None else views
-    painting, trunk = (picture(40, 40, 9), small_trunk()) if style else (None, None)
-    return EditTrainer(views, start_module(views, settings, seed), settings, painting, trunk, seed, threads)
+    painting, extractor = (picture(40, 40, 9), small_trunk()) if style else (None, None)
+    return EditTrainer(views, start_module(views, settings, seed), settings, painting, extractor, seed, threads)
 
 
 def hue_distance(color: np.ndarray, plain: np.ndarray) -> float:
