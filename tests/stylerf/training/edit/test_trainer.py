@@ -77,7 +77,7 @@ def test_every_view_has_its_turn_once_an_epoch():
     made, seen = trainer(count=5), []
     for step in range(15):
         made.state.step = step
-        seen.append(made._view_of_step(0))
+        seen.append(made.view_of_step(0))
     assert [sorted(seen[at : at + 5]) for at in (0, 5, 10)] == [list(range(5))] * 3
     assert seen[:5] != seen[5:10]
 

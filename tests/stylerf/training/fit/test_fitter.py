@@ -129,8 +129,8 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
 
     fitter.engine.warm_up = watched
     fitter.warm_up()
-    fitter._warm_up([replace(LEVELS[-1], degree=0)])
-    fitter._warm_up([replace(LEVELS[-1], degree=1)])
+    fitter.warm_up_levels([replace(LEVELS[-1], degree=0)])
+    fitter.warm_up_levels([replace(LEVELS[-1], degree=1)])
     assert seen[0] == [1] and seen[1:] == [[0]]
 
 

@@ -64,7 +64,7 @@ def test_a_long_budget_leaves_a_coarse_level_after_its_longest():
 def test_growing_holds_the_same_picture():
     fitter = run_until(box_fitter(300), 60)
     before = fitter.held_out_psnr()
-    fitter._resize(LEVELS[2])
+    fitter.resize(LEVELS[2])
     assert fitter.field.density.size.max() == 16 and fitter.field.occupancy.cells == 16 and fitter.field.step == 1 / 16
     fitter.field.step = 1 / 8
     assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
@@ -95,7 +95,7 @@ def test_held_out_views_are_trained_on_once_nothing_is_left_to_decide():
     requested, seen = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
 
     def on_step(now_: Fitter) -> None:
-        seen.setdefault((now_._judging, now_.state.level), now_.progress)
+        seen.setdefault((now_.judging, now_.state.level), now_.progress)
 
     requested.run(on_step)
     # What was asked for stays from the first look on.
