@@ -18,8 +18,7 @@ from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import to_uint8, write_png
 from schemas.journal import Journal
-from schemas.lens import LensDistortion
-from schemas.scene import Bounds, as_matrix
+from schemas.scene import Bounds, LensDistortion, as_matrix
 from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
