@@ -1,9 +1,10 @@
 """`python -m benchmarks.files_to_read PHOTOS OUT.json`: how many files a reader opens to follow a command.
 
 `stylerf fit` and `stylerf stylize --method arf` are run on a few small photos, on the CPU, and every function of the
-project that is really called is recorded. Kernels are compiled, so that no call of theirs is seen: from the functions
-that were called, those named in stylerf/kernels/cpu are followed statically. OUT.json holds, for each command, the
-number of files, their lines, and their names.
+project that is really called is recorded, and every class that is instantiated. What runs only because a module is
+imported is not: nobody reads it to follow the command. Kernels are compiled, so that no call of theirs is seen: from
+the functions that were called, those named in stylerf/kernels/cpu are followed statically. OUT.json holds, for each
+command, the number of files, their lines, and their names.
 """
 
 import ast
@@ -20,6 +21,16 @@ PACKAGES = ("stylerf_cli", "stages", "schemas", "stylerf")
 KERNELS = ROOT / "stylerf" / "kernels" / "cpu"
 
 
+def while_importing(frame: Any) -> bool:
+    """Whether a module of the project is being imported further up the stack."""
+    while frame is not None:
+        code = frame.f_code
+        if code.co_name == "<module>" and code.co_filename.startswith(tuple(f"{ROOT}/{one}/" for one in PACKAGES)):
+            return True
+        frame = frame.f_back
+    return False
+
+
 class Recorder:
     """Collects (file, function) of every call of the project's code."""
 
@@ -27,9 +38,16 @@ class Recorder:
         self.called: set[tuple[str, str]] = set()
 
     def __call__(self, frame: Any, event: str, argument: Any) -> None:
+        if event != "call":
+            return
         code = frame.f_code
-        if event == "call" and code.co_name != "<module>" and code.co_filename.startswith(str(ROOT)):
-            self.called.add((code.co_filename, code.co_qualname.split(".<locals>")[0]))
+        path, name = code.co_filename, code.co_qualname.split(".<locals>")[0]
+        if path == "<string>" and code.co_name in {"__init__", "__new__"}:  # of a dataclass or a NamedTuple
+            one = frame.f_locals[code.co_varnames[0]]
+            made = one if isinstance(one, type) else type(one)
+            path, name = getattr(sys.modules.get(made.__module__), "__file__", None) or "", made.__qualname__
+        if path.startswith(str(ROOT)) and (path, name) not in self.called and not while_importing(frame):
+            self.called.add((path, name))
 
     def run(self, *command: Any) -> set[tuple[str, str]]:
         """What one command calls."""

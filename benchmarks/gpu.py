@@ -98,7 +98,7 @@ KINDS = ("vm", "stylized", "hash", "voxel", "hash-mlp")
 
 
 def random_field(vertices: int, kind: str = "vm"):
-    """A box of thin fog at the ladder's ranks, with half of its cells occupied.
+    """A box of thin fog at the ranks of the capacity levels, with half of its cells occupied.
 
     kind: of density and color (hash-mlp: of the color behind a vm density); stylized: a vm density and the hash
     color of a stylization. A voxel grid keeps all of its blocks.

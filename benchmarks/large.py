@@ -65,7 +65,7 @@ def scene_of(folder: Path, work: Path) -> dict:
         pinhole = (*SIZE, focal, focal, SIZE[0] / 2, SIZE[1] / 2)
         views.append(View(camera.name, image, split, *pinhole, as_matrix(camera.world_from_camera)))
     bounds = Bounds(((-1.5, -1.5, -1.5), (1.5, 1.5, 1.5)), 1.5, 6.5)
-    write_scene(begun.path, Scene(tuple(views), "object", "told", bounds, "alpha", as_matrix(np.eye(4))))
+    write_scene(begun.path, Scene(tuple(views), "object", "given", bounds, "alpha", as_matrix(np.eye(4))))
     begun.commit()
     return {"views": VIEWS, "pixel_bytes": 4 * SIZE[0] * SIZE[1] * VIEWS}
 

@@ -8,7 +8,7 @@ Style distance (exact nearest neighbors, conv3) and content distance are means o
 looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
 Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature extractor, the
 matching and the optimizers. Field memory: what is resident at the end of painting and of learning, at most, above what
-was before the step; the trunk is left out; in a process of its own that gives freed memory back at once.
+was before the step; the feature extractor is left out; in a process of its own that gives freed memory back at once.
 """
 
 import json
@@ -178,7 +178,7 @@ def ready(work: str, style: str, method: str, case: str) -> tuple:
 
 
 def field_memory(work: str, style: str, method: str, case: str) -> float:
-    """MB of the field alone: a step whose gradient comes from nowhere, before the trunk has run."""
+    """MB of the field alone: a step whose gradient comes from nowhere, before the feature extractor has run."""
     import numpy as np
 
     made, _, _, spent = ready(work, style, method, case)

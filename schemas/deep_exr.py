@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from schemas.exr import ExrView, view_attributes
-from schemas.exr_writing import write_part
+from schemas.exr import ExrView, view_attributes, write_part
 
 _TINY = np.float32(1e-7)
 

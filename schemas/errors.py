@@ -1,15 +1,27 @@
 """Errors at the boundary to files and users, each with the exit code of the command that it ends."""
 
+from typing import Any
+
+
+def one_line(error: BaseException) -> str:
+    """Return an error's text on one line, its type if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
 
 class StylerfError(Exception):
     """Base class. The message is one line: what was expected, what was found, where, and what to do next.
 
     Attributes:
         keeps_run: Whether an unfinished run is kept, so that the next one can resume it.
+        details: What `--json` prints beside the message.
     """
 
     exit_code = 3
     keeps_run = False
+
+    def __init__(self, line: str = "", details: dict[str, Any] | None = None) -> None:
+        super().__init__(line)
+        self.details = details or {}
 
 
 class CheckFailed(StylerfError):

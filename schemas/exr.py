@@ -1,10 +1,11 @@
-"""OpenEXR files of rendered views: color, planar depth, ray distance, masks and the camera.
+"""OpenEXR files of rendered views (color, planar depth, ray distance, masks and the camera), and of ST maps.
 
-Channels: R G B A half (linear, premultiplied), Z float32 (along the camera's axis, not along the ray), rayDistance.Z
-float32 (along the ray), mask.<name> half, and Cryptomatte's. One scanline part with ZIP compression, whose check sum
-detected each of 1,100 flipped bytes.
+Channels of a view: R G B A half (linear, premultiplied), Z float32 (along the camera's axis, not along the ray),
+rayDistance.Z float32 (along the ray), mask.<name> half, and Cryptomatte's. One scanline part with ZIP compression,
+whose check sum detected each of 1,100 flipped bytes.
 """
 
+import errno
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +14,10 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.color_spaces import COLOR_SPACES
 from schemas.cryptomatte import cryptomatte_attributes, cryptomatte_channels
-from schemas.errors import BadInput
-from schemas.exr_writing import one_line, write_part
+from schemas.errors import BadInput, one_line
 from schemas.json_numbers import LARGEST_SIDE
 from schemas.native_output import native_output_silenced
 from schemas.safe_reading import check_allowance, opened
@@ -274,3 +275,43 @@ def read_depth(path: Path | str) -> np.ndarray:
     if np.isnan(depth).any():
         raise BadInput(f"{path}: channel Z holds NaN")
     return depth
+
+
+def write_part(path: Path, header: dict[str, Any], channels: dict[str, np.ndarray], size: int) -> None:
+    """Write a single-part file of any channels atomically; equal arguments give equal bytes.
+
+    Args:
+        header: Attributes; `type` and `compression` too.
+        channels: [h, w] each, contiguous: OpenEXR silently writes strided arrays wrongly (its issue 1929).
+        size: Bytes of the channels, for the message where the disk is full.
+
+    Raises:
+        OutOfResources: The disk is full or read-only.
+    """
+    with replacing(path) as temporary:
+        try:
+            with native_output_silenced():
+                OpenEXR.File(header, dict(channels)).write(str(temporary))  # a copy: OpenEXR replaces its values
+        except RuntimeError as error:
+            message = f"the EXR writer failed ({one_line(error)})"
+            raise refusal_of_disk(path, size) or OSError(errno.EIO, message, str(path)) from error
+
+
+def write_st_map(path: Path | str, positions: np.ndarray) -> None:
+    """Write the positions [h, w, 2] of an ST map (stylerf/geometry/st_maps.py) atomically as R and G, float32; B is 0.
+
+    Raises:
+        ValueError: They are not finite.
+        OutOfResources: The disk is full or read-only.
+    """
+    if positions.ndim != 3 or positions.shape[2] != 2 or not np.isfinite(positions).all():
+        raise ValueError(f"an ST map must be finite and of shape [h, w, 2], it is {positions.shape}")
+    planes = {"R": positions[..., 0], "G": positions[..., 1], "B": np.zeros(positions.shape[:2])}
+    channels = {name: np.ascontiguousarray(plane, dtype=np.float32) for name, plane in planes.items()}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "colorInteropID": "data",  # positions: no color management
+        "software": "stylerf",
+    }
+    write_part(Path(path), header, channels, sum(plane.nbytes for plane in channels.values()))

@@ -8,10 +8,9 @@ from typing import Any
 from schemas.atomic_write import write_json
 from schemas.errors import ArtifactDamaged
 from schemas.json_numbers import FOCAL_LENGTHS, LARGEST_SIDE, matrix, number, whole
-from schemas.lens import LensDistortion, distortion_of
 from schemas.safe_names import relative_path
 from schemas.safe_reading import read_json
-from schemas.scene import Matrix
+from schemas.scene import LensDistortion, Matrix, distortion_of
 
 FRAMES_FILE = "frames.json"
 

@@ -310,11 +310,11 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
         target = oiio.ImageOutput.create(str(temporary))
         done = target is not None and target.open(str(temporary), spec) and target.write_image(pixels)
         done = target is not None and target.close() and done and not target.geterror()
-        if not (done and _whole(temporary)):
+        if not (done and png_is_whole(temporary)):
             raise refusal_of_disk(path, pixels.nbytes) or OSError(errno.EIO, "the PNG writer failed", str(path))
 
 
-def _whole(path: Path) -> bool:
+def png_is_whole(path: Path) -> bool:
     """Whether all chunks of a PNG match their check sums; the codec ignores failed writes."""
     data, at, name = memoryview(path.read_bytes()), 8, b""
     while name != b"IEND" and at + 12 <= len(data):

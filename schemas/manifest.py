@@ -159,10 +159,11 @@ class Manifest:
         """Encode as manifest.json; `self_sha256` is the SHA-256 of the text with 64 zeros in its place."""
         content = {**plain(self), "self_sha256": "0" * 64}
         text = (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-        return _sealed(text)
+        return sealed(text)
 
 
-def _sealed(text: bytes) -> bytes:
+def sealed(text: bytes) -> bytes:
+    """Return the JSON of a manifest with the digest of its text in place of the blank one."""
     seal = hashlib.sha256(text).hexdigest().encode()
     head, _, tail = text.rpartition(_BLANK)  # the last match: free text in `config` or `figures` may hold another
     return head + _BLANK.replace(b"0" * 64, seal) + tail

@@ -33,7 +33,7 @@ def try_video(width: int, height: int, fps: float) -> None:
     if find_spec("av") is None:
         return
     try:
-        _encode(io.BytesIO(), [np.zeros((height, width, 3), np.uint8)], fps)
+        encode(io.BytesIO(), [np.zeros((height, width, 3), np.uint8)], fps)
     except Exception as error:
         if isinstance(error, MemoryError):
             raise
@@ -49,11 +49,12 @@ def _frame(path: Path) -> np.ndarray:
 
 def _write_mp4(path: Path, pictures: list[Path], fps: float) -> Path:
     with replacing(path) as temporary:
-        _encode(str(temporary), (_frame(picture) for picture in pictures), fps)
+        encode(str(temporary), (_frame(picture) for picture in pictures), fps)
     return path
 
 
-def _encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) -> None:
+def encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Encode frames [h, w, 3] uint8 as MP4; equal frames give equal bytes."""
     import av
     from av.video.reformatter import ColorRange, Colorspace
 

@@ -117,7 +117,7 @@ def _rendered(life: HardStillLife, camera: Camera) -> np.ndarray:
 
 
 def _corrupted(config: CorruptSceneConfig, generator: np.random.Generator) -> Capture:
-    data = _source(config)
+    data = source_scene(config)
     train, tests = data.splits["train"], _few(data.splits["test"], config.tests)
     if not tests:
         raise BadInput(f"{data.folder}: the scene has no test views to measure with; import it with --test-every 8")
@@ -142,7 +142,8 @@ def _corrupted(config: CorruptSceneConfig, generator: np.random.Generator) -> Ca
     )  # fmt: skip
 
 
-def _source(config: CorruptSceneConfig) -> SceneData:
+def source_scene(config: CorruptSceneConfig) -> SceneData:
+    """Load the scene to corrupt; ArtifactStale if it is not the one that was chosen."""
     artifact = Artifact(Path(config.source))
     if artifact.digest != config.source_digest:
         raise ArtifactStale(f"{config.source} was rebuilt meanwhile; rerun `stylerf stress`")

@@ -52,19 +52,19 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
     context.progress.start("distill", len(views), "view")
     with nullcontext() if device else compiling_note(context.progress.say):
         for done, view in enumerate(views):
-            image, own = _edited(scene, view, module, edit.changes, config, threads)
+            image, own = edited_photo(scene, view, module, edit.changes, config, threads)
             write_png(partial.path / scene.views[view.view].image, image)
             targets |= {f"{view.view}.pixels": view.pixels[own], f"{view.view}.depth": view.through[own]}
             context.progress.update(done + 1)
     context.progress.finish()
-    _write_others(scene, {view.view for view in views}, partial.path)
+    write_unedited_photos(scene, {view.view for view in views}, partial.path)
     pixels = int(sum(len(v) for k, v in targets.items() if k.endswith(".pixels")))
-    _keep_earlier(scene, targets)
+    keep_earlier_edits(scene, targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
     return {"views": len(views), "pixels": pixels, **gpu_figures(device)}
 
 
-def _edited(
+def edited_photo(
     scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
@@ -84,14 +84,14 @@ def _edited(
     return to_uint8(out.reshape(photo.shape)), chosen
 
 
-def _write_others(scene: SceneData, shown: set[int], folder: Path) -> None:
+def write_unedited_photos(scene: SceneData, shown: set[int], folder: Path) -> None:
     """Write the photos that do not show the edit, if they are not used as stored (one exposure, own colors)."""
     for index, view in enumerate(scene.views):
         if not scene.as_stored(index) and index not in shown:
             write_png(folder / view.image, to_uint8(scene.images(index)))
 
 
-def _keep_earlier(scene: SceneData, targets: dict[str, np.ndarray]) -> None:
+def keep_earlier_edits(scene: SceneData, targets: dict[str, np.ndarray]) -> None:
     """Add the pixels of earlier edits of the same photos: training a whole field must include those."""
     before = edit_targets(scene)
     for index in sorted({index for index, _ in before}):

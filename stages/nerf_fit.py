@@ -69,11 +69,11 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     held_out = _held_out(train, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
-    _report_idle(config, scene.layout, space.kind, bank.channels == 4, context)
+    report_ineffective_options(config, scene.layout, space.kind, bank.channels == 4, context)
     device = gpu_of(context)
-    settings = _settings(config, scene, space, device)
+    settings = fit_settings(config, scene, space, device)
     if context.memory and device is None:
-        _report_memory(settings, space, context)
+        report_memory(settings, space, context)
     engine = fit_engine(device, settings.samples, config.gradient_clip)
     say, processes = context.progress.say, context.processes
     fitter = Fitter(space, bank, len(held_out), settings, context.seed, threads, say, processes, engine)
@@ -89,7 +89,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
         context.progress.say(fitter.state.decisions[-1])
     context.progress.say(fitter.search.summary(fitter.field.parameters))
     if processes.first:
-        background = "none" if fitter.field.opaque_background else _shown(settings.background)
+        background = "none" if fitter.field.opaque_background else shown_background(settings.background)
         save_field(partial.path, fitter.field, background)
     shifts = pose_shifts(fitter)
     if line := pose_warning(shifts):
@@ -97,7 +97,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     return _figures(fitter, held_out, reason) | {"pose_shift_px": pose_metrics(shifts)} | gpu_figures(device)
 
 
-def _report_idle(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
+def report_ineffective_options(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
     """Note options for objects that were set but have no effect here. cut_out: some photo has alpha."""
     works = {
         "opacity_weight": layout == "object",
@@ -113,7 +113,7 @@ def _report_idle(config: FitConfig, layout: str, space: str, cut_out: bool, cont
         )
 
 
-def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
+def report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
     """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
     are kept is not known before."""
     kinds, finest = settings.kinds, settings.levels[-1].resolution
@@ -140,14 +140,14 @@ def _report_memory(settings: FitSettings, space: SpaceWarp, context: Context) ->
 def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context: Context) -> None:
     steps, estimated, begun = fitter.settings.steps, False, time.monotonic()
     if not steps:
-        context.progress.say(_beside_training(config, fitter))
+        context.progress.say(time_beside_training(config, fitter))
     context.progress.start("fit", steps or fitter.settings.seconds, "step" if steps else "s")
 
     def report(now: Fitter) -> None:
         nonlocal estimated
         if not steps and not estimated and now.checks == ESTIMATED_AFTER_CHECKS:
             estimated = True
-            context.progress.say(_in_all(config, now, time.monotonic() - begun))
+            context.progress.say(estimated_total(config, now, time.monotonic() - begun))
         if now.state.step % 10 == 0:
             last, note = now.state.curve[-1] if now.state.curve else {}, ""
             if last:
@@ -158,14 +158,14 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
     run_training(fitter, "the fit", config.checkpoint_every_seconds, partial, context, report)
 
 
-def _beside_training(config: FitConfig, fitter: Fitter) -> str:
+def time_beside_training(config: FitConfig, fitter: Fitter) -> str:
     """Say what a time budget does not contain."""
     checks = f"loading kernels and {round(1 / CHECK_EVERY)} checks on held-out or training views"
     views = ", then views to EXR and PNG (not with --no-buffers)" if config.buffers else ""
     return f"{fitter.settings.seconds:.0f} s of training; on top of it come {checks}{views}"
 
 
-def _in_all(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
+def estimated_total(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
     """Estimate the time in all from the last check: rays take as long in other checks, and in views rendered after.
 
     elapsed: seconds since kernels began to load. Larger fields, and prunings that are tried, take longer.
@@ -180,7 +180,8 @@ def _in_all(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
     return f"about {budget + loading + checks + views:.0f} s or more in all: {', '.join(parts)}"
 
 
-def _settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:
+def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:
+    """Return the settings of a fit of this scene, with what the options leave to its layout and space."""
     seconds, steps = budget_of(config.budget)
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
@@ -262,7 +263,7 @@ def _held_out(train: list[int], wanted: int) -> list[int]:
     return spread(train, count)
 
 
-def _shown(background: str) -> str:
+def shown_background(background: str) -> str:
     """Background of the field in images: the one it was trained over, white if that was random."""
     return background if background in ("black", "none") else "white"
 

@@ -11,10 +11,9 @@ from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
-from schemas.lens import Lens, LensDistortion
 from schemas.safe_names import printable
 from schemas.safe_reading import allowance
-from schemas.scene import POINTS_FILE, Bounds, Scene, Skipped, Truth, View, as_matrix, write_scene
+from schemas.scene import POINTS_FILE, Bounds, Lens, LensDistortion, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import FRAMES, ImportConfig

@@ -8,7 +8,7 @@ from stages.artifacts.edit import PALETTE, by_column, changes_of, columns_and_sh
 from stages.artifacts.field import load_field, save_field
 from stages.artifacts.scene import SceneData, load_scene, view_index
 from stages.configs.decompose import RecolorConfig
-from stages.configs.views import pixel_of
+from stages.configs.view_syntax import pixel_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.selection import ends_of_rays

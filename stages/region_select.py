@@ -17,7 +17,7 @@ from stages.artifacts.photos import level_of, load_pictures, photo_for, photo_ov
 from stages.artifacts.region import load_region, save_region
 from stages.artifacts.scene import SceneData, view_index
 from stages.configs.select import SelectConfig
-from stages.configs.views import depth_of, file_of, pixel_of
+from stages.configs.view_syntax import depth_of, file_of, pixel_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.editing.edit_grid import (
@@ -265,7 +265,7 @@ def _grown(sight: Sight, solid, seen: SeenCells, seeds: Seeds, config: SelectCon
             alike &= ~seen.nearer(modes(avoided.lab(sight), 1.0), colors)
         allowed, refused = solid & alike, seen.seen & ~alike
     if config.reach > 0:
-        allowed = allowed & _within(sight, seeds.points, config.reach, allowed)
+        allowed = allowed & cells_within(sight, seeds.points, config.reach, allowed)
     found = filled(grow(start, allowed, config.steps * config.iterations, config.neck).grown, config.fill, solid)
     found = padded(found, refused & ~found) | start
     for _ in range(CLAIMS):
@@ -273,7 +273,7 @@ def _grown(sight: Sight, solid, seen: SeenCells, seeds: Seeds, config: SelectCon
     return found
 
 
-def _within(sight: Sight, points: np.ndarray, reach: float, among: np.ndarray) -> np.ndarray:
+def cells_within(sight: Sight, points: np.ndarray, reach: float, among: np.ndarray) -> np.ndarray:
     """The cells of `among` whose centers lie within `reach`, scene units, of any of the cube points [n, 3]."""
     where = np.argwhere(among)
     unwarp, out = sight.field.space.unwarp, np.zeros_like(among)

@@ -18,8 +18,7 @@ from schemas.exr import write_exr
 from schemas.frames import Frame, FrameCamera, Frames, write_frames
 from schemas.images import to_uint8, write_png
 from schemas.journal import Journal
-from schemas.lens import LensDistortion
-from schemas.scene import Bounds, as_matrix
+from schemas.scene import Bounds, LensDistortion, as_matrix
 from schemas.video import try_video, write_video
 from schemas.work_folder import Artifact, PartialArtifact
 from stages.artifacts.camera_files import digest_of_cameras, read_cameras
@@ -28,13 +27,11 @@ from stages.artifacts.field import load_field
 from stages.artifacts.region import CHANNEL, channels_of, regions_among
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.shards import take_frames
-from stages.compositing.deep_frames import deep_samples
-from stages.compositing.exr_views import exr_view
-from stages.compositing.plates import StMaps, map_files, plate_camera, write_st_maps
+from stages.compositing import StMaps, deep_samples, exr_view, map_files, plate_camera, write_st_maps
 from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.parallel import in_order
-from stages.run.progress import Context
+from stages.run.progress import Context, Progress
 from stages.run.runner import Spec
 from stylerf.errors import InvalidValue
 from stylerf.fields.blended_color import BlendedColor
@@ -51,7 +48,8 @@ SPEC = Spec(
     stage="render", verb="render", revision=4, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
-Renderer = Callable[[Camera, Mapping[str, np.ndarray]], tuple[RenderedView, DeepView | None]]
+Rendered = tuple[RenderedView, DeepView | None]
+Renderer = Callable[[Camera, Mapping[str, np.ndarray]], Rendered]
 WRITTEN_AT_ONCE = 2  # frames; each holds its planes in memory until it is on disk
 
 
@@ -67,33 +65,19 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     if config.path not in (*OWN_VIEWS, *PATHS):
         for remark in read_cameras(Path(config.path), scene).remarks:
             context.progress.say(remark)
-    sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
-    if config.video and len(sizes) > 1:
-        sizes_text = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
-        raise BadInput(
-            f"--video: frames along {config.path} differ in size ({sizes_text}); render them without --video"
-        )
     if config.video:
-        try_video(*sizes[0], config.fps)
+        _check_video(config, shots)
     regions = regions_among(inputs, field.space) if config.shows_regions else {}
-    if config.cryptomatte and not regions:
-        raise BadInput(
-            f"--cryptomatte: no region was selected in the space of field {inputs['field'].name}; select one with "
-            "`stylerf select`"
-        )
-    if config.deep and isinstance(field.color, BlendedColor):
-        raise BadInput(f"--deep: field {inputs['field'].name} is a blend, whose samples have no colors of their own")
+    name = inputs["field"].name
+    _check_field(name, field, config, regions, context)
     channels = channels_of(regions)
     maps = _st_maps(scene) if config.st_map else {}
-    attributes = {"field": inputs["field"].name, "fieldDigest": inputs["field"].digest}
     along = Path(config.path).name if context.no_paths else config.path
-    attributes["path"] = along
+    attributes = {"field": name, "fieldDigest": inputs["field"].digest, "path": along}
     if config.strength != 1:
         attributes["strength"] = f"{config.strength:g}"
     attributes |= {CHANNEL + channels[name]: f"{name} {regions[name].digest}" for name in channels}
     cells = {name: region.cells for name, region in regions.items()}
-    if config.displacement and field.displacement is None:
-        context.progress.say(f"field {inputs['field'].name} has no deformation; --displacement writes nothing")
     listed = tuple(_frame_of(camera, view, config, maps.get(camera.name)) for camera, view in shots)
     journal = Journal(partial.checkpoint / "frames.jsonl", partial.path)
     taken = {} if context.rebuild or config.frames else take_frames(partial, listed, journal)
@@ -106,27 +90,19 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         context.progress.say("--deep: rendering on the CPU, which alone keeps the samples of a ray")
         device = None
     renderer = _gpu_renderer(field, device, scene.cameras[0]) if device else _cpu_renderer(field, config, threads)
-    field_name, recording = inputs["field"].name, threading.Lock()
+
+    def write(frame: Frame, camera: Camera, rendered: Rendered) -> None:
+        _write(partial.path, frame, *rendered, camera, field, background, scene.bounds, config, attributes)
+
     with nullcontext() if device else compiling_note(context.progress.say):
-
-        def write(job: tuple[Frame, Camera, tuple[RenderedView, DeepView | None] | None]) -> None:
-            frame, camera, rendered = job
-            if rendered is None:
-                return
-            _write(partial.path, frame, *rendered, camera, field, background, scene.bounds, config, attributes)
-            # Here, in the thread: an interrupted render waits for it, and must not lose the frame.
-            with recording:
-                journal.add(_files_of(frame, config, field, cells))
-
-        def rendered_frames() -> Iterator[tuple[Frame, Camera, tuple[RenderedView, DeepView | None] | None]]:
-            for frame, (camera, _) in zip(listed, shots, strict=True):
-                with recording:
-                    held = journal.holds(_files_of(frame, config, field, cells))
-                yield frame, camera, None if held else render_frame(renderer, frame, camera, cells, field_name)
-
-        # A frame is written while the next one is rendered: codecs use one core, and the disk none.
-        for done, _ in enumerate(in_order(write, rendered_frames(), WRITTEN_AT_ONCE), start=1):
-            context.progress.update(done)
+        _render_missing(
+            [(frame, camera) for frame, (camera, _) in zip(listed, shots, strict=True)],
+            journal,
+            lambda frame: _files_of(frame, config, field, cells),
+            lambda frame, camera: render_frame(renderer, frame, camera, cells, name),
+            write,
+            context.progress,
+        )
     context.progress.finish()
     if maps:
         shown = {camera.name for camera, _ in shots}
@@ -134,13 +110,69 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
         write_st_maps(partial.path, scene, used)
     masks = channels if config.exr else {}
     fps = config.fps if config.video or config.path not in OWN_VIEWS else None
-    write_frames(partial.path, Frames(inputs["field"].name, along, listed, fps, masks))
+    write_frames(partial.path, Frames(name, along, listed, fps, masks))
     reused = {name for names in taken.values() for name in names}
     return {
         "frames": len(listed),
         "pixels": int(sum(c.width * c.height for c, _ in shots if c.name not in reused)),
         "video": _video(partial.path, [f.png for f in listed], config, context) if config.video else None,
     } | gpu_figures(device)
+
+
+def _check_video(config: RenderConfig, shots: list[Shot]) -> None:
+    """Raise BadInput if the frames cannot be a video, before any is rendered."""
+    sizes = sorted({(camera.width, camera.height) for camera, _ in shots})
+    if len(sizes) > 1:
+        sizes_text = " and ".join(f"{width}x{height}" for width, height in sizes[:: len(sizes) - 1])
+        raise BadInput(
+            f"--video: frames along {config.path} differ in size ({sizes_text}); render them without --video"
+        )
+    try_video(*sizes[0], config.fps)
+
+
+def _check_field(
+    name: str, field: RadianceField, config: RenderConfig, regions: Mapping[str, object], context: Context
+) -> None:
+    """Raise BadInput for what the named field cannot show; say what will be missing."""
+    if config.cryptomatte and not regions:
+        raise BadInput(
+            f"--cryptomatte: no region was selected in the space of field {name}; select one with `stylerf select`"
+        )
+    if config.deep and isinstance(field.color, BlendedColor):
+        raise BadInput(f"--deep: field {name} is a blend, whose samples have no colors of their own")
+    if config.displacement and field.displacement is None:
+        context.progress.say(f"field {name} has no deformation; --displacement writes nothing")
+
+
+def _render_missing(
+    frames: list[tuple[Frame, Camera]],
+    journal: Journal,
+    files_of: Callable[[Frame], list[str]],
+    render: Callable[[Frame, Camera], Rendered],
+    write: Callable[[Frame, Camera, Rendered], None],
+    progress: Progress,
+) -> None:
+    """Render and write the frames whose files the journal does not hold, and record them."""
+    recording = threading.Lock()
+
+    def write_and_record(job: tuple[Frame, Camera, Rendered | None]) -> None:
+        frame, camera, rendered = job
+        if rendered is None:
+            return
+        write(frame, camera, rendered)
+        # Here, in the thread: an interrupted render waits for it, and must not lose the frame.
+        with recording:
+            journal.add(files_of(frame))
+
+    def rendered_frames() -> Iterator[tuple[Frame, Camera, Rendered | None]]:
+        for frame, camera in frames:
+            with recording:
+                held = journal.holds(files_of(frame))
+            yield frame, camera, None if held else render(frame, camera)
+
+    # A frame is written while the next one is rendered: codecs use one core, and the disk none.
+    for done, _ in enumerate(in_order(write_and_record, rendered_frames(), WRITTEN_AT_ONCE), start=1):
+        progress.update(done)
 
 
 def _field_at_strength(inputs: Mapping[str, Artifact], strength: float) -> tuple[RadianceField, str]:
@@ -158,7 +190,7 @@ def _field_at_strength(inputs: Mapping[str, Artifact], strength: float) -> tuple
 
 
 def _cpu_renderer(field: RadianceField, config: RenderConfig, threads: int) -> Renderer:
-    def render(camera: Camera, regions: Mapping[str, np.ndarray]) -> tuple[RenderedView, DeepView | None]:
+    def render(camera: Camera, regions: Mapping[str, np.ndarray]) -> Rendered:
         if not config.deep:
             return render_view(field, camera, threads=threads, regions=regions), None
         deep = DeepCollector(field, camera, config.deep_samples, threads)
@@ -218,9 +250,7 @@ def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions:
     return [*own, *(f"{folder}/{frame.name}.png" for folder in folders), frame.png]
 
 
-def render_frame(
-    renderer: Renderer, frame: Frame, camera: Camera, regions: Mapping, field: str
-) -> tuple[RenderedView, DeepView | None]:
+def render_frame(renderer: Renderer, frame: Frame, camera: Camera, regions: Mapping, field: str) -> Rendered:
     """Render a frame of the named field; ArtifactDamaged if it has NaN or infinite values."""
     rendered, deep = renderer(camera, regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):

@@ -22,7 +22,7 @@ from stages.artifacts.style_images import (
     read_style_image,
 )
 from stages.configs.stylize import DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context

@@ -13,7 +13,7 @@ import traceback
 from datetime import datetime
 from pathlib import Path
 
-from schemas.errors import OutOfResources, StylerfError
+from schemas.errors import OutOfResources, StylerfError, one_line
 from stages.pipeline.distributed import launched
 from stylerf_cli.output import write_fault
 
@@ -28,7 +28,7 @@ def code_and_line(error: BaseException, argv: list[str], work: Path | None) -> t
     The traceback of an unexpected one goes to a file that the line names.
     """
     if isinstance(error, StylerfError):
-        return error.exit_code, _one_line(error)
+        return error.exit_code, one_line(error)
     if isinstance(error, KeyboardInterrupt):
         why = ", by hand or because another process of the run has ended" if launched() > 1 else ""
         return INTERRUPTED, f"interrupted{why}; rerun to resume: stylerf {shlex.join(argv)}"
@@ -39,13 +39,13 @@ def code_and_line(error: BaseException, argv: list[str], work: Path | None) -> t
     from stylerf.errors import Diverged, InvalidValue  # imported late: `--help` must not wait for it
 
     if isinstance(error, InvalidValue):
-        return BAD_INPUT, _one_line(error)
+        return BAD_INPUT, one_line(error)
     if isinstance(error, Diverged):
-        return FAILED, f"{_one_line(error)}; try another --seed or a smaller learning rate"
+        return FAILED, f"{one_line(error)}; try another --seed or a smaller learning rate"
     if unusable := _unusable_path(error):
         return BAD_INPUT, unusable
     log = _write_crash_log(error, argv, work)
-    return FAILED, f"unexpected {type(error).__name__}: {_one_line(error)[:200]}; the full report is in {log}"
+    return FAILED, f"unexpected {type(error).__name__}: {one_line(error)[:200]}; the full report is in {log}"
 
 
 def _refusal_of_disk(error: BaseException) -> str | None:
@@ -73,10 +73,6 @@ def _unusable_path(error: BaseException) -> str | None:
     if isinstance(error, ValueError) and str(error) == "embedded null byte":
         return "a path contains a null byte; correct it"
     return None
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _nowhere() -> bool:

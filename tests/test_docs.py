@@ -224,7 +224,7 @@ EXCEPTIONS = {"schemas/migrations.py", "stylerf/procedural/composition.py"}  # o
 
 
 def test_product_and_pages_use_the_field_s_terms():
-    code = [path for name in ("schemas", "stages", "stylerf", "stylerf_cli", "examples") for path in
+    code = [path for name in ("schemas", "stages", "stylerf", "stylerf_cli", "examples", "benchmarks") for path in
             sorted((REPOSITORY / name).rglob("*.py"))]  # fmt: skip
     found = [
         f"{page_id(path)}: {match[0]}"

@@ -44,6 +44,7 @@ def chosen(python: str, *names: str) -> dict[str, str]:
 @pytest.mark.parametrize("name", FILES)
 def test_every_requirement_has_one_version_and_digests(name):
     blocks = (FOLDER / name).read_text().replace("\\\n", " ").splitlines()[2:]
+    assert blocks
     for block in blocks:
         assert re.match(r"[a-z0-9-]+==[\w.+]+ ", block) and re.search(r"--hash=sha256:[0-9a-f]{64}( |$)", block), block
         assert not re.search(r"https?:|file:| @ ", block)

@@ -84,7 +84,9 @@ def test_help_tells_its_flags(verb):
         [sys.executable, "-m", "stylerf_cli.main", verb, "--help"],
         check=True, capture_output=True, text=True, cwd=REPOSITORY,
     ).stdout  # fmt: skip
-    for line in re.findall(rf"^run {verb} (.+)$", SCRIPT.read_text(), re.M):
+    lines = re.findall(rf"^run {verb} (.+)$", SCRIPT.read_text(), re.M)
+    assert lines
+    for line in lines:
         for flag in re.findall(r"--[a-z-]+", line):
             assert re.search(rf"{flag}\b", reported), flag
 

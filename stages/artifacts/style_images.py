@@ -13,7 +13,7 @@ from schemas.errors import BadInput
 from schemas.images import read_srgb
 from stages.artifacts.scene import SceneData, view_index
 from stages.configs.stylize import RefNprConfig
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 from stages.weights.resolve import resolve, resolve_decoder
 from stylerf.editing.edit_grid import Region
 from stylerf.editing.region_style import crop_of

@@ -1,9 +1,11 @@
 """One frozen dataclass per stage: its options and their defaults. No heavy imports, so that `--help` is instant."""
 
 from dataclasses import MISSING, Field, field, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from schemas.safe_names import flags
+
+Config = TypeVar("Config")
 
 
 def option(
@@ -73,6 +75,11 @@ def flag_of(item: "Field[Any]") -> str:
 def default_of(item: "Field[Any]") -> Any:
     """Return the default of an option, MISSING if it is required."""
     return item.default if item.default_factory is MISSING else item.default_factory()
+
+
+def part_of(config: Any, kind: type[Config]) -> Config:
+    """Return the fields of a config that inherits from the dataclass `kind` as a `kind`."""
+    return kind(**{item.name: getattr(config, item.name) for item in fields(kind)})  # type: ignore[arg-type]
 
 
 def flags_of(config: Any) -> list[str]:

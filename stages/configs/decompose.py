@@ -1,11 +1,11 @@
 """Options of `stylerf stylize --method palettenerf`: learning a palette, and changing it."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
-from stages.configs import advanced, option
+from stages.configs import advanced, option, part_of
 from stages.configs.edit import PaletteConfig
 from stages.configs.fit import budget_of
-from stages.configs.views import pixel_of
+from stages.configs.view_syntax import pixel_of
 
 METHOD = "palettenerf"
 
@@ -103,9 +103,9 @@ class PaletteFieldConfig(RecolorConfig, DecomposeConfig):
     @property
     def learning(self) -> DecomposeConfig:
         """How the palette is learned."""
-        return DecomposeConfig(**{item.name: getattr(self, item.name) for item in fields(DecomposeConfig)})
+        return part_of(self, DecomposeConfig)
 
     @property
     def changes(self) -> RecolorConfig:
         """How it is changed."""
-        return RecolorConfig(**{item.name: getattr(self, item.name) for item in fields(RecolorConfig)})
+        return part_of(self, RecolorConfig)

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass, fields
 
-from stages.configs import advanced, option
+from stages.configs import advanced, option, part_of
 from stages.configs.fit import budget_of
 from stages.configs.select import SelectConfig
 
@@ -198,12 +198,12 @@ class RegionConfig(PaletteConfig, EditConfig):
     @property
     def learning(self) -> EditConfig:
         """How the look is learned."""
-        return EditConfig(**{item.name: getattr(self, item.name) for item in fields(EditConfig)})
+        return part_of(self, EditConfig)
 
     @property
     def changes(self) -> PaletteConfig:
         """Changes to the palette."""
-        return PaletteConfig(**{item.name: getattr(self, item.name) for item in fields(PaletteConfig)})
+        return part_of(self, PaletteConfig)
 
 
 @dataclass(frozen=True)
@@ -217,9 +217,9 @@ class WholeEditConfig(RegionConfig, SelectConfig):
     @property
     def selection(self) -> SelectConfig:
         """What is selected."""
-        return SelectConfig(**{item.name: getattr(self, item.name) for item in fields(SelectConfig)})
+        return part_of(self, SelectConfig)
 
     @property
     def look(self) -> RegionConfig:
         """What becomes of it."""
-        return RegionConfig(**{item.name: getattr(self, item.name) for item in fields(RegionConfig)})
+        return part_of(self, RegionConfig)

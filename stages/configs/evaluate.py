@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from stages.configs import advanced, option
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 
 CONSISTENCY = ("correct", "laenerf-script", "stylerf-family", "all")
 SMALLEST_SIDE = 64  # pixels: below it the deepest layers of the networks have nothing left to see

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 
 from stages.configs import advanced, option
-from stages.configs.views import depth_of, file_of, pixel_of
+from stages.configs.view_syntax import depth_of, file_of, pixel_of
 
 GROWING = "growing"
 

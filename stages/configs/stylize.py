@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from stages.configs import advanced, option
 from stages.configs.edit import STROKES
 from stages.configs.fit import budget_of
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 
 COLOR_CELLS = (64, 1024)  # cells per side that the color field takes by default
 METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")

@@ -13,7 +13,7 @@ from skimage.transform import resize
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from stages.artifacts.style_images import read_colors
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 from stages.evaluation.region_masks import ASPECT_TOLERANCE
 from stages.evaluation.test_views import FrameViews, Render, SceneViews
 from stages.evaluation.view_metrics import HIGHEST_PSNR, ViewRow, nonfinite_message, skipped_nonfinite

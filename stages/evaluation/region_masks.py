@@ -82,7 +82,7 @@ class ImageMasks:
 
     def inside(self, frames: FrameViews, index: int, render: Render) -> np.ndarray | None:
         """Pixels [h, w] inside the view's mask; None if there is none, which is recorded in `missing`."""
-        path = self._file(render.name)
+        path = self.file_of(render.name)
         if path is None:
             self.missing.append(render.name)
             return None
@@ -90,7 +90,7 @@ class ImageMasks:
         self.nonempty.append(bool(inside.any()))
         return inside
 
-    def _file(self, name: str) -> Path | None:
+    def file_of(self, name: str) -> Path | None:
         """DIR/<name>.png or DIR/<name>_mask.png; the view's own folders may be left out where the name stays unique."""
         stem = _stem(name)
         base = PurePosixPath(stem).name

@@ -1,18 +1,23 @@
-"""Lists of cameras as JSON: transforms.json and camera_path.json of nerfstudio, cameras.json of 3D Gaussian splatting.
+"""Lists of cameras: transforms.json and camera_path.json of nerfstudio, cameras.json of 3D Gaussian splatting, Nuke's
+.chan, COLMAP models.
 
 Cameras are in the coordinates of the file, with OpenCV axes; the writers turn them to the axes of each format.
 """
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from schemas.atomic_write import write_json
+from schemas.atomic_write import write_bytes, write_json
+from stages.artifacts.scene import Points
 from stylerf.geometry.cameras import Camera
 
 _OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 _SPLITS = {"train": ("train_filenames",), "test": ("val_filenames", "test_filenames")}
+CHAN_COLUMNS = "frame tx ty tz rx ry rz vertical_fov"
 
 
 def opengl_pose(camera: Camera) -> np.ndarray:
@@ -75,3 +80,48 @@ def write_3dgs(path: Path, cameras: list[Camera]) -> None:
         }
         for index, one in enumerate(cameras)
     ])  # fmt: skip
+
+
+def write_chan(path: Path, cameras: list[Camera]) -> None:
+    """Write Nuke's .chan: a line per frame (from 1) with position, Euler angles and vertical field of view.
+
+    Angles are degrees, rotation order ZXY, Nuke's default for cameras: a point is turned about z, then x, then y, so
+    that the rotation is Ry Rx Rz. Cameras look along -z, y up. The file states neither the order nor the frame rate.
+    """
+    lines = []
+    for frame, camera in enumerate(cameras, start=1):
+        pose = opengl_pose(camera)
+        ry, rx, rz = Rotation.from_matrix(pose[:3, :3]).as_euler("YXZ", degrees=True)
+        values = np.array([*pose[:3, 3], rx, ry, rz, vertical_fov(camera)])
+        lines.append(f"{frame} " + " ".join(f"{value:.12g}" for value in values))
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def write_colmap(
+    folder: Path, cameras: list[Camera], points: Points | None, photo: Callable[[Camera], str], text: bool
+) -> None:
+    """Write a COLMAP model of pinhole cameras into `folder` by pycolmap: cameras, images, points3D, rigs and frames.
+
+    Args:
+        cameras: in the coordinates of the model. Equal lenses are one camera of the model.
+        points: in the same coordinates; without tracks.
+        photo: name of a camera's photo.
+        text: write text files instead of binary ones.
+    """
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    lenses: dict[tuple, int] = {}
+    for number, one in enumerate(cameras, start=1):
+        lens = (one.width, one.height, one.fx, one.fy, one.cx, one.cy)
+        if lens not in lenses:
+            lenses[lens] = len(lenses) + 1
+            model.add_camera_with_trivial_rig(pycolmap.Camera(
+                camera_id=lenses[lens], model="PINHOLE", width=one.width, height=one.height, params=list(lens[2:])
+            ))  # fmt: skip
+        image = pycolmap.Image(name=photo(one), camera_id=lenses[lens], image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.linalg.inv(one.world_from_camera)[:3]))
+    for xyz, rgb in zip(points.xyz, points.rgb, strict=True) if points else ():
+        model.add_point3D(xyz.astype(np.float64), pycolmap.Track(), rgb)
+    folder.mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(folder)

@@ -11,7 +11,7 @@ from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import applied, scale_of
 from stages.configs.export import WITH_PHOTOS
 from stages.configs.render import OWN_VIEWS
-from stages.exporting import camera_lists, chan_file, colmap_files, usd_stage
+from stages.exporting import camera_lists, usd_stage
 from stages.exporting.job import ExportedFile, ExportJob
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
@@ -75,11 +75,11 @@ def _gaussians(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) ->
 
 def _chan(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> ExportedFile:
     to = job.placed(
-        "cameras.chan", "y", camera_axes="OpenGL", columns=chan_file.COLUMNS, rotation_order="ZXY",
+        "cameras.chan", "y", camera_axes="OpenGL", columns=camera_lists.CHAN_COLUMNS, rotation_order="ZXY",
         fov="vertical, degrees", fps=job.config.fps,
     )  # fmt: skip
     _say_of_centers(job, cameras, to.path)
-    chan_file.write_chan(job.folder / to.path, placed_cameras(cameras, to))
+    camera_lists.write_chan(job.folder / to.path, placed_cameras(cameras, to))
     return to
 
 
@@ -87,7 +87,7 @@ def _colmap(job: ExportJob, cameras: list[Camera], splits: dict[str, str], text:
     to = job.placed("sparse/0" if not text else "sparse_text/0", camera_axes="OpenCV")
     points = job.scene.points
     placed = None if points is None else replace(points, xyz=applied(to.file_from_scene, points.xyz))
-    colmap_files.write_model(job.folder / to.path, placed_cameras(cameras, to), placed, photo_of, text)
+    camera_lists.write_colmap(job.folder / to.path, placed_cameras(cameras, to), placed, photo_of, text)
     return to
 
 

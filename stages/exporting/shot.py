@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import scale_of
-from stages.exporting import splat_usd, splats, usd_stage
+from stages.exporting import splat_files, splats, usd_stage
 from stages.exporting.cameras import placed_cameras
 from stages.exporting.job import ExportedFile, ExportJob
 from stages.exporting.surface import surface_of
@@ -58,10 +58,10 @@ def _mesh(job: ExportJob) -> _Geometry:
 
 
 def _splats(job: ExportJob) -> _Geometry:
-    splat_usd.check_usd()  # before anything is computed
+    splat_files.check_usd()  # before anything is computed
     made, figures = splats.splats_of(job)
 
     def add(stage: Any, to: ExportedFile) -> None:
-        splat_usd.add_splats(stage, moved_gaussians(made, to.file_from_scene))
+        splat_files.add_splats(stage, moved_gaussians(made, to.file_from_scene))
 
     return _Geometry({"colors": splats.COLORS}, add, figures, [splats.written(job, "ply", made)])

@@ -13,7 +13,7 @@ from stages.artifacts.photos import level_of, photo_over
 from stages.artifacts.provenance import shows_its_pictures
 from stages.artifacts.scene import spread
 from stages.configs.fit import budget_of
-from stages.exporting import splat_glb, splat_ply, splat_spz
+from stages.exporting import splat_files
 from stages.exporting.job import ExportedFile, ExportJob
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
@@ -22,10 +22,9 @@ from stylerf.kernels.cpu.splats import Gaussians
 from stylerf.metrics.image_quality import psnr
 from stylerf.rendering.view import render_view
 from stylerf.splats.optimization import SplatOptimizer
-from stylerf.splats.placement import on_surfaces, thinned
+from stylerf.splats.placement import SurfacePoints, on_surfaces, picture_and_points, thinned
 from stylerf.splats.rasterizer import splat
 from stylerf.splats.similarity import moved_gaussians
-from stylerf.splats.surface_points import SurfacePoints, picture_and_points
 from stylerf.splats.views import views_to_learn
 
 COLORS = "spherical harmonics of sRGB-encoded, display-referred colors"
@@ -173,14 +172,12 @@ def written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
     path: Path = job.folder / to.path
     placed = moved_gaussians(splats, to.file_from_scene)
     if name == "ply":
-        splat_ply.write_ply(path, placed)
+        splat_files.write_ply(path, placed)
     elif name == "spz":
-        bits = splat_spz.write_spz(path, placed)
+        bits = splat_files.write_spz(path, placed)
         to.notes["position_step"] = 2.0**-bits
     elif name == "glb":
-        splat_glb.write_glb(path, placed)
+        splat_files.write_glb(path, placed)
     else:
-        from stages.exporting import splat_usd
-
-        splat_usd.write_usd(path, placed, job.config)
+        splat_files.write_usd(path, placed, job.config)
     return to

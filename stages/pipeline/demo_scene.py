@@ -46,7 +46,7 @@ def write_demo(
     for split, count, turn in (("train", train_views, seed), ("test", test_views, seed + 1000)):
         cameras = dome_cameras(count, size, split, turn, angle_x=ANGLE_X)
         for camera in cameras:
-            _write_view(folder, split, camera, life.render(camera, threads=threads))
+            write_view(folder, split, camera, life.render(camera, threads=threads))
             done += 1
             progress.update(done)
         frames = [
@@ -60,7 +60,8 @@ def write_demo(
     write_json(stamp, wanted)
 
 
-def _write_view(folder: Path, split: str, camera: Camera, view: TrueView) -> None:
+def write_view(folder: Path, split: str, camera: Camera, view: TrueView) -> None:
+    """Write a photo and its true depth."""
     write_png(folder / split / f"{camera.name}.png", to_uint8(view.rgba))
     hit = np.isfinite(view.z)
     alpha = np.where(hit, 1.0, 0.0).astype(np.float32)

@@ -21,11 +21,7 @@ LOCK = ".runs.lock"  # two commands at once would delete each other's work folde
 
 
 class Regression(CheckFailed):
-    """A cell is worse than in the baseline, or no cell is in both. details: the result of the command."""
-
-    def __init__(self, line: str, details: dict[str, Any]) -> None:
-        super().__init__(line)
-        self.details = details
+    """A cell is worse than in the baseline, or no cell is in both."""
 
 
 @dataclass(frozen=True)

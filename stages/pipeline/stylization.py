@@ -9,7 +9,7 @@ from schemas.work_folder import Artifact
 from stages.configs.decompose import METHOD, DecomposeConfig, PaletteFieldConfig, RecolorConfig
 from stages.configs.edit import RegionConfig
 from stages.configs.stylize import RefNprConfig, StylizeConfig
-from stages.configs.views import file_of
+from stages.configs.view_syntax import file_of
 from stages.pipeline.local_edit import field_of_region, learned_edit, only_one, pinned_look
 from stages.pipeline.prerequisites import (
     ensure_deformed,

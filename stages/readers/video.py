@@ -15,8 +15,7 @@ from schemas.safe_names import printable
 from schemas.video_reading import VideoFrame, frames_of
 from stages.readers.source import natural
 from stages.run.progress import Context
-from stylerf.geometry.frame_choice import chosen_frames
-from stylerf.geometry.frame_motion import MOTION_SIDE, SHARPNESS_SIDE, motion_between, sharpness
+from stylerf.geometry.frame_choice import MOTION_SIDE, SHARPNESS_SIDE, chosen_frames, motion_between, sharpness
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 # Motion of a whole capture, in shares of the picture's longer side, below which it shows no depth.

@@ -83,7 +83,7 @@ def _matched(batches: list[Pairs], path: Path, folder: Path, job: Job) -> Iterat
         pool = stack.enter_context(ThreadPoolExecutor(processes))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # at a fault, start no other batch
         for batch, part in zip(batches, pool.map(computed, range(len(batches))), strict=True):
-            _merge(part, path)
+            merge_database(part, path)
             part.unlink()
             yield batch
 
@@ -147,7 +147,7 @@ def _copy_inputs(path: Path, part: Path, pairs: Pairs) -> None:
         database.commit()
 
 
-def _merge(part: Path, path: Path) -> None:
+def merge_database(part: Path, path: Path) -> None:
     """Copies what was found in the database `part` into the one at `path`. A pair cut short before may have rows."""
     with closing(sqlite3.connect(path, timeout=WAIT_SECONDS)) as database:
         database.execute("ATTACH ? AS part", (str(part),))

@@ -103,7 +103,7 @@ def _copy(folder: Path, journal: Journal, side: int, index: int, photo: str, mas
     if cut_out:
         small = shrunk(np.ascontiguousarray(kept[..., None]), size)
         write_png(folder.parent / MASKS / f"{copy.file}.png", to_uint8(small >= KEPT))
-    _write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
+    write_jpeg(folder / copy.file, to_uint8(shrunk(np.ascontiguousarray(pixels), size)))
     write_json(facts, asdict(copy))
     journal.add([f"{COPIES}/{facts.name}", *_pictures(copy)])
     return copy
@@ -123,7 +123,8 @@ def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:
     return (f"{focal / max(size):.4f}", focal) if plausible else ("unknown", 0.0)
 
 
-def _write_jpeg(path: Path, pixels: np.ndarray) -> None:
+def write_jpeg(path: Path, pixels: np.ndarray) -> None:
+    """Write [h, w, 1 or 3] uint8 atomically; OSError if the codec fails."""
     bitmap = pycolmap.Bitmap.from_array(np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3))))
     bitmap.set_jpeg_quality(JPEG_QUALITY)
     with replacing(path) as temporary:

@@ -111,7 +111,7 @@ class BlendedColor:
     ) -> np.ndarray:
         """Return colors as ColorPart.colors does, each layer's mapped and clamped at the sample.
 
-        Pictures are composited layer by layer instead (rendering/layers.py), so that clamps act on pixels.
+        Pictures are composited layer by layer instead (rendering/rays.py), so that clamps act on pixels.
         """
         import torch
 

@@ -32,19 +32,11 @@ def _axes() -> np.ndarray:
 AXES = _axes()
 
 
-def color_distance(a: np.ndarray, b: np.ndarray) -> float:
-    """Return d between colors [n, 3] and [m, 3], sRGB 0..1, in CIELAB (D65) units, >= 0.
-
-    At most sqrt(3) times the 2-Wasserstein distance in three dimensions; n and m need not be equal.
-
-    Raises:
-        InvalidValue: There are no colors, or one is not finite.
-    """
-    return distance_of_quantiles(color_quantiles(a), color_quantiles(b))
-
-
 def distance_of_quantiles(a: np.ndarray, b: np.ndarray) -> float:
-    """Return d from the `color_quantiles` of both images."""
+    """Return d from the `color_quantiles` of both images, which need not have equally many pixels.
+
+    At most sqrt(3) times the 2-Wasserstein distance in three dimensions, in CIELAB (D65) units.
+    """
     return float(np.sqrt(3 * np.square(a - b).mean()))
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stylerf.fields.blended_color import BlendedColor
+from stylerf.fields.blended_color import EVERYWHERE, BlendedColor, Layer
+from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import displacement_gradient, position_gradients
 from stylerf.fields.marching import SAMPLES_PER_RAY, ScratchArena, empty_array
 from stylerf.fields.radiance_field import RadianceField
@@ -12,14 +13,15 @@ from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import (
     composite,
     composite_backward,
+    composite_share,
     distortion_backward,
+    keep_shared,
     scale_near_gradients,
     surface_distance,
     visible_weights,
 )
 from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.kernels.cpu.regions import weights_inside, zero_outside
-from stylerf.rendering.layers import composite_layers, mapped
 
 
 @dataclass
@@ -145,3 +147,55 @@ def alpha_inside(marked: np.ndarray, samples: Samples, threads: int) -> np.ndarr
     flat = np.ascontiguousarray(marked).reshape(-1)
     weights_inside(flat, marked.shape[0], samples.shading_points(), threads, out)
     return out
+
+
+def composite_layers(
+    color: BlendedColor, samples: Samples, directions: np.ndarray, threads: int, arena: ScratchArena | None = None
+) -> np.ndarray:
+    """Composite samples of a blend: each layer by itself, as its own field would show it, then added up.
+
+    Args:
+        color: its layers, each with the color map and the threshold of its own field.
+        samples: on rays.
+        directions: [rays, 3], unit.
+        threads: partitions of the rays.
+        arena: where memory for samples comes from; None: new memory.
+
+    Returns:
+        [rays, 5]: premultiplied rgb (sRGB-encoded), alpha, sum of w t without the opaque background's share.
+    """
+    out = np.zeros((len(directions), 5), np.float32)
+    points = samples.shading_points()
+    for layer, shares in color.shares(points, threads, arena):
+        part = _composited(layer, shares, samples, directions, threads, arena)
+        out[:, :3] += mapped(part, layer.color_map)[:, :3]
+        out[:, 4] = part[:, 4]  # the same of each
+    alpha = np.empty(len(out), np.float32)
+    weights_inside(EVERYWHERE.reshape(-1), 1, points, threads, alpha)
+    out[:, 3] = alpha
+    return out
+
+
+def _composited(
+    layer: Layer, shares: np.ndarray, samples: Samples, directions: np.ndarray, threads: int, arena: ScratchArena | None
+) -> np.ndarray:
+    """Return [rays, 5] of one layer, before its color map; its alpha is the share of the ray's that is the layer's."""
+    visible, shown = empty_array(samples.weights.shape, arena), empty_array(samples.weights.shape, arena)
+    visible_weights(samples, np.float32(layer.weight_threshold), threads, visible)
+    keep_shared(visible, shares, samples.starts, samples.ends, threads, shown)
+    basis = harmonics(directions, layer.color.degree)
+    colors = layer.color.colors(samples.shading_points(shown), basis, threads, arena)
+    out = np.empty((len(directions), 5), np.float32)
+    composite_share(samples, visible, colors, shares, threads, out)
+    return out
+
+
+def mapped(out: np.ndarray, color_map: ColorMap | None) -> np.ndarray:
+    """Return composited rays [rays, 5] with their colors mapped, and clamped to 0..alpha; unchanged without a map."""
+    if color_map is None:
+        return out
+    import torch  # takes more than a second, which fields without a color map need not wait for
+
+    # Premultiplied colors lie in 0..alpha.
+    colors = color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
+    return np.concatenate([np.clip(colors.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)

@@ -5,9 +5,9 @@ import numpy as np
 from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import C0, harmonics
-from stylerf.kernels.cpu.simd_splats import PIXELS, TILE
-from stylerf.kernels.cpu.splats import SCREEN, Gaussians, blend, count_pairs, fill_pairs, project, sort_by_depth
-from stylerf.splats.rasterizer import splat_camera
+from stylerf.kernels.cpu.simd_splats import TILE
+from stylerf.kernels.cpu.splats import SCREEN, Gaussians, project
+from stylerf.splats.rasterizer import draw_projected, splat_camera
 
 CHUNK = 1 << 18  # splats whose colors are computed at once
 PAIR_BYTES = 16  # of a pair of a tile and a splat that reaches it: the lists of the rasterizer, and their building
@@ -41,7 +41,10 @@ def picture(
     boxes = np.empty((n, 4), np.int32)
     project(plain, splat_camera(camera, near), threads, screen, depths, boxes)
     bands = _bands(boxes, camera.height, most_bytes // PAIR_BYTES)
-    parts = [_band(*_shifted(screen, boxes, top, end), depths, camera.width, end - top, threads) for top, end in bands]
+    parts = [
+        draw_projected(*_shifted(screen, boxes, top, end), depths, camera.width, end - top, threads)[0]
+        for top, end in bands
+    ]
     return np.concatenate(parts, axis=0)
 
 
@@ -100,22 +103,3 @@ def _shifted(screen: np.ndarray, boxes: np.ndarray, top: int, end: int) -> tuple
     boxes[:, 2:] = (boxes[:, 2:] - top).clip(0, end - top)
     boxes[boxes[:, 3] <= boxes[:, 2]] = 0
     return screen, boxes
-
-
-def _band(
-    screen: np.ndarray, boxes: np.ndarray, depths: np.ndarray, width: int, height: int, threads: int
-) -> np.ndarray:
-    """[height, width, 4]: as rasterizer.splat, of splats that are projected already."""
-    order = np.empty(len(boxes), np.int32)
-    order = order[: sort_by_depth(depths, boxes, order, np.empty(len(boxes), np.int32))]
-    across, down = -(-width // TILE), -(-height // TILE)
-    tile_ends, first_pairs = np.empty(across * down + 1, np.int64), np.empty(len(order) + 1, np.int64)
-    pairs = count_pairs(boxes, order, len(order), across, tile_ends, first_pairs)
-    members, places = np.empty(pairs, np.int32), np.empty(pairs, np.int32)
-    fill_pairs(boxes, order, len(order), across, tile_ends, members, places)
-    tiles = np.empty((across * down, 4, PIXELS), np.float32)
-    blend(screen, boxes, tile_ends, members, across, threads, tiles)
-    full = tiles.reshape(down, across, 4, TILE, TILE).transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 4)
-    image = np.ascontiguousarray(full[:height, :width])
-    image[..., 3] = 1 - image[..., 3]
-    return image

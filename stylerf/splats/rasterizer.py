@@ -55,18 +55,27 @@ def splat(gaussians: Gaussians, camera: Camera, *, near: float, threads: int) ->
     screen, depths = np.empty((n, SCREEN), np.float32), np.empty(n, np.float32)
     boxes = np.empty((n, 4), np.int32)
     project(gaussians, as_read, threads, screen, depths, boxes)
+    image, *lists = draw_projected(screen, boxes, depths, camera.width, camera.height, threads)
+    return Splatted(image, as_read, screen, boxes, *lists)
+
+
+def draw_projected(
+    screen: np.ndarray, boxes: np.ndarray, depths: np.ndarray, width: int, height: int, threads: int
+) -> tuple[np.ndarray, ...]:
+    """Draw Gaussians as `project` leaves them; return the image, order and lists of a Splatted."""
+    n = len(boxes)
     order = np.empty(n, np.int32)
     order = order[: sort_by_depth(depths, boxes, order, np.empty(n, np.int32))]
-    across, down = _tiles(camera.width), _tiles(camera.height)
+    across, down = _tiles(width), _tiles(height)
     tile_ends, first_pairs = np.empty(across * down + 1, np.int64), np.empty(len(order) + 1, np.int64)
     pairs = count_pairs(boxes, order, len(order), across, tile_ends, first_pairs)
     members, places = np.empty(pairs, np.int32), np.empty(pairs, np.int32)
     fill_pairs(boxes, order, len(order), across, tile_ends, members, places)
     tiles = np.empty((across * down, 4, PIXELS), np.float32)
     blend(screen, boxes, tile_ends, members, across, threads, tiles)
-    image = _image(tiles, camera)
+    image = _image(tiles, width, height)
     image[..., 3] = 1 - image[..., 3]
-    return Splatted(image, as_read, screen, boxes, order, first_pairs, places, members, tile_ends, tiles)
+    return image, order, first_pairs, places, members, tile_ends, tiles
 
 
 def splat_backward(
@@ -100,11 +109,11 @@ def _tiles(pixels: int) -> int:
     return -(-pixels // TILE)
 
 
-def _image(tiles: np.ndarray, camera: Camera) -> np.ndarray:
+def _image(tiles: np.ndarray, width: int, height: int) -> np.ndarray:
     """[tiles, 4, PIXELS] to [h, w, 4]."""
-    across, down = _tiles(camera.width), _tiles(camera.height)
+    across, down = _tiles(width), _tiles(height)
     full = tiles.reshape(down, across, 4, TILE, TILE).transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 4)
-    return np.ascontiguousarray(full[: camera.height, : camera.width])
+    return np.ascontiguousarray(full[:height, :width])
 
 
 def _by_tiles(image: np.ndarray) -> np.ndarray:

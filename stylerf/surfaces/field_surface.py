@@ -5,13 +5,13 @@ from collections.abc import Callable
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
-from stylerf.surfaces.isosurface import isosurface
+from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.surfaces.mesh import Mesh
-from stylerf.surfaces.rendered_density import rendered_density, surface_densities
 from stylerf.surfaces.visibility import DepthView
 
 # Of the densities at which rays have lost half of their light, from thinnest to densest. Half of a fuzzy surface is
@@ -19,6 +19,11 @@ from stylerf.surfaces.visibility import DepthView
 LEVEL_QUANTILE = 0.2
 DENSEST_LEVEL = 0.9  # opacity of a cell: above it, interpolation between empty and opaque cells is blind
 BEHIND = 3.0  # cells that a seen point may lie behind the visible surface
+RAYS_PER_VIEW = 2048
+MIN_ALPHA = 0.9  # of rays that end at a surface
+HALF = 0.5
+POINTS_AT_ONCE = 1 << 22  # grid points of a slab: its positions take 50 MB
+_MATCH = 1e-6  # cells; two slabs interpolate the vertices of their common plane from the same values
 
 
 def grid_size(space: SpaceWarp, resolution: int) -> np.ndarray:
@@ -83,3 +88,119 @@ def within_reach(mesh: Mesh, space: SpaceWarp, reach: float) -> Mesh:
     else:
         return mesh
     return mesh.with_faces(~far[mesh.faces].any(1))
+
+
+def rendered_density(field: RadianceField, points: np.ndarray, threads: int) -> np.ndarray:
+    """Return raw density [n] at points [n, 3] of the cube as rays meet it: displaced, and 0 in unoccupied cells."""
+    cells = field.occupancy.cells
+    index = np.minimum((points * cells).astype(np.int64), cells - 1)
+    flat = (index[:, 0] * cells + index[:, 1]) * cells + index[:, 2]
+    near = np.flatnonzero(field.occupancy.distances[flat] == 0)
+    out = np.zeros(len(points), np.float32)
+    if len(near):
+        out[near] = field.density.sigma(np.ascontiguousarray(displaced(field, points[near])), threads)
+    return out
+
+
+def displaced(field: RadianceField, points: np.ndarray) -> np.ndarray:
+    """Return points [n, 3] of the cube, float32, where a field's displacement takes them."""
+    grid = field.displacement
+    if grid is None:
+        return points
+    from scipy.ndimage import map_coordinates
+
+    places = (points * (np.array(grid.shape[:3]) - 1)).T  # vertices span the cube, ends included
+    shift = np.stack([map_coordinates(grid[..., axis], places, order=1, mode="nearest") for axis in range(3)], -1)
+    return np.clip(points + shift, 0, 1).astype(np.float32)
+
+
+def surface_densities(field: RadianceField, cameras: list[Camera], threads: int) -> np.ndarray:
+    """Return raw densities [n] where rays of the cameras have lost half of their light, at optical depth ln 2.
+
+    Rays are those that end at a surface: alpha at least MIN_ALPHA, not counting an opaque background.
+    """
+    found = []
+    for camera in cameras:
+        count = camera.width * camera.height
+        pixels = np.unique(np.linspace(0, count - 1, min(RAYS_PER_VIEW, count)).astype(np.int64))
+        samples = field.march(Rays.of(*camera.rays(pixels), field.space.near), SAMPLES_PER_RAY, 1e-3, threads)
+        for start, end in zip(samples.starts, samples.ends, strict=True):
+            solid = samples.deltas[start:end] > 0
+            weights = np.cumsum(samples.weights[start:end] * solid)
+            if len(weights) and weights[-1] >= MIN_ALPHA:
+                found.append(samples.sigma[start + int(np.searchsorted(weights, HALF))])
+    return np.array(found, np.float32)
+
+
+def isosurface(
+    density: Callable[[np.ndarray], np.ndarray],
+    size: np.ndarray,
+    level: float,
+    on_plane: Callable[[int], None] = lambda done: None,
+) -> Mesh:
+    """Return the surface in the unit cube where the density is `level`, facing lower densities (Lewiner et al. 2003).
+
+    The grid is evaluated slab by slab, so that memory does not grow with the cube of its resolution.
+
+    Args:
+        density: of points [n, 3] float32 in the cube, [n] float32.
+        size: [3], grid points along each axis, from face to face of the cube.
+        on_plane: called with the number of planes done after each slab.
+
+    Returns:
+        The mesh in cube coordinates, without vertices if the density is nowhere as high.
+    """
+    from skimage.measure import marching_cubes
+
+    depth, height, width = (int(side) for side in size)
+    thick = max(2, POINTS_AT_ONCE // (height * width))
+    plane = np.stack(np.meshgrid(np.arange(height), np.arange(width), indexing="ij"), -1).reshape(-1, 2)
+    vertices: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    count, at = 0, 0
+    last: np.ndarray | None = None  # the plane that the next slab begins with
+    seam = np.empty((0, 3)), np.empty(0, np.int64)  # vertices on it, and their numbers
+    while at < depth - 1:
+        end = min(at + thick, depth)
+        slab = np.empty((end - at, height, width), np.float32)
+        for index in range(end - at):
+            if index == 0 and last is not None:
+                slab[0] = last
+            else:
+                x = np.full((len(plane), 1), at + index)
+                points = np.concatenate([x, plane], axis=1) / (np.asarray(size) - 1)
+                slab[index] = density(points.astype(np.float32)).reshape(height, width)
+        last = slab[-1].copy()
+        if slab.min() < level < slab.max():
+            found, triangles, _, _ = marching_cubes(slab, level)
+            found = found.astype(np.float64) + [at, 0, 0]
+            numbers = np.arange(count, count + len(found))
+            joined = _joined(found, at, *seam)
+            numbers[joined >= 0] = joined[joined >= 0]
+            fresh = joined < 0
+            numbers[fresh] = count + np.arange(fresh.sum())
+            vertices.append(found[fresh])
+            faces.append(numbers[triangles[:, ::-1]])  # scikit-image winds them the other way round
+            count += int(fresh.sum())
+            on_last = found[:, 0] > end - 1 - _MATCH
+            seam = found[on_last], numbers[on_last]
+        else:
+            seam = np.empty((0, 3)), np.empty(0, np.int64)
+        at = end - 1
+        on_plane(end)
+    if not vertices:
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    return Mesh(np.concatenate(vertices) / (np.asarray(size) - 1), np.concatenate(faces).astype(np.int64))
+
+
+def _joined(found: np.ndarray, at: int, seam: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Return [n] for vertices of a slab that begins at plane `at`: their numbers in the slab before, or -1."""
+    from scipy.spatial import KDTree
+
+    out = np.full(len(found), -1, np.int64)
+    on_first = np.flatnonzero(found[:, 0] < at + _MATCH)
+    if len(seam) and len(on_first):
+        away, nearest = KDTree(seam).query(found[on_first])
+        same = away < _MATCH
+        out[on_first[same]] = numbers[nearest[same]]
+    return out

@@ -13,14 +13,6 @@ CONFIG = None
 NAMELESS = "nothing is written"
 
 
-class DamageFound(ArtifactDamaged):
-    """An artifact is damaged. details: the result for --json."""
-
-    def __init__(self, line: str, details: dict[str, Any]) -> None:
-        super().__init__(line)
-        self.details = details
-
-
 def add_arguments(parser: Parser) -> None:
     """PATH."""
     parser.add_argument("path", type=Path, metavar="PATH", help="a work folder or the folder of an artifact")
@@ -30,7 +22,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Return {"sound": n, "damaged": 0, "artifacts": [{kind, name, sound, files, bytes, fault}]}.
 
     Raises:
-        DamageFound: an artifact is damaged.
+        ArtifactDamaged: an artifact is damaged.
     """
     found = work_or_artifact(args.path)
     artifacts = [found] if isinstance(found, Artifact) else found.artifacts()
@@ -46,7 +38,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
         for fault in faults[1:]:
             session.say(fault)
         counted = f" ({len(faults)} of {len(rows)} artifacts are damaged)" if len(rows) > 1 else ""
-        raise DamageFound(faults[0] + counted, result)
+        raise ArtifactDamaged(faults[0] + counted, result)
     return session.emit(result, [_words(row) for row in rows] or ["nothing to verify"])
 
 

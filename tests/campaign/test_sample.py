@@ -35,7 +35,7 @@ def whole(ground, nursery):
     return kills.undisturbed(nursery, ground, ground.stages["import"], machine_of_strace())
 
 
-def test_a_command_killed_at_a_call_breaks_nothing_and_its_rerun_ends_the_same(ground, nursery, whole):
+def test_a_command_killed_at_a_call_ends_the_same_when_it_is_rerun(ground, nursery, whole):
     """At moments of its time stages are killed in tests/stylerf_cli/test_killed.py."""
     if not whole.calls:
         pytest.skip("strace is missing or may not inject")

@@ -51,14 +51,14 @@ def traced(
          *(word for one in asked for word in ("-e", f"inject={one}")), "-p", str(started.pid)],
         stderr=subprocess.PIPE, env=os.environ | {"LC_ALL": "C"},
     )  # fmt: skip
-    told = b""
-    while b"attached" not in told:
+    said = b""
+    while b"attached" not in said:
         ready = select.select([tracer.stderr], [], [], ATTACH_SECONDS)[0]
         more = os.read(tracer.stderr.fileno(), 4096) if ready else b""
         if not more:
             started.send(signal.SIGKILL)
-            raise RuntimeError(f"strace did not attach: {told.decode(errors='replace')}")
-        told += more
+            raise RuntimeError(f"strace did not attach: {said.decode(errors='replace')}")
+        said += more
     started.send(signal.SIGCONT)
     return started, tracer
 
@@ -86,12 +86,12 @@ def calls_on(log: Path, pid: int, work: Path) -> list[Call]:
     found = []
     place = str(work)
     for line in log.read_text(errors="replace").splitlines():
-        told = _LINE.match(line)
-        if told is None or int(told[1]) != pid:
+        call = _LINE.match(line)
+        if call is None or int(call[1]) != pid:
             continue
-        counts[told[2]] = counts.get(told[2], 0) + 1
-        if place in told[3]:
-            found.append(Call(told[2], counts[told[2]], told[3].replace(place, "")))
+        counts[call[2]] = counts.get(call[2], 0) + 1
+        if place in call[3]:
+            found.append(Call(call[2], counts[call[2]], call[3].replace(place, "")))
     return found
 
 

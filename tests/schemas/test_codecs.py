@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from schemas import atomic_write, exr_writing, images
+from schemas import atomic_write, exr, images
 from schemas.errors import OutOfResources
 from schemas.exr import ExrView, write_exr
 from schemas.images import write_png
@@ -24,8 +24,8 @@ def view() -> ExrView:
     ("module", "write"),
     [
         (images, lambda path: write_png(path, np.zeros((4, 6, 3), np.uint8))),
-        (exr_writing, lambda path: write_exr(path, view())),
-        (photo_copies, lambda path: photo_copies._write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
+        (exr, lambda path: write_exr(path, view())),
+        (photo_copies, lambda path: photo_copies.write_jpeg(path, np.zeros((4, 6, 3), np.uint8))),
     ],
 )
 def test_a_writer_that_fails_for_a_moment_leaves_a_run_that_can_go_on(module, write, tmp_path, monkeypatch):
@@ -47,14 +47,14 @@ def test_a_png_that_lacks_what_the_disk_refused_is_no_png(lost, tmp_path, monkey
     pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3)).astype(np.uint8)
     write_png(tmp_path / "sound.png", pixels)
     whole = (tmp_path / "sound.png").read_bytes()
-    assert images._whole(tmp_path / "sound.png")
-    real = images._whole
+    assert images.png_is_whole(tmp_path / "sound.png")
+    real = images.png_is_whole
 
     def refused(path):
         path.write_bytes(whole[: lost.start] + (whole[lost.stop :] if lost.stop else b""))
         return real(path)
 
-    monkeypatch.setattr(images, "_whole", refused)
+    monkeypatch.setattr(images, "png_is_whole", refused)
     monkeypatch.setattr(images, "refusal_of_disk", lambda path, size: None)
     with pytest.raises(OSError, match="writer failed"):
         write_png(tmp_path / "x.png", pixels)

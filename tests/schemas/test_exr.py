@@ -269,7 +269,7 @@ def test_a_full_disk_is_reported(tmp_path, view, monkeypatch):
         raise RuntimeError("Failed to write pixel data")
 
     monkeypatch.setattr("OpenEXR.File.write", fail)
-    refused = "schemas.exr_writing.refusal_of_disk"
+    refused = "schemas.exr.refusal_of_disk"
     monkeypatch.setattr(refused, lambda path, size: OutOfResources(f"no space for {size}"))
     with pytest.raises(OutOfResources, match="no space for"):
         write_exr(tmp_path / "v.exr", view)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from schemas.exr import FAR_Z, read_exr
-from schemas.lens import Lens, LensDistortion
 from schemas.migrations import CURRENT
-from schemas.scene import read_scene
+from schemas.scene import Lens, LensDistortion, read_scene
 from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.edit import load_edit, palette_entries

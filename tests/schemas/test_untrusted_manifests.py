@@ -68,9 +68,9 @@ def test_any_field_of_another_type_is_damage_or_no_matter(tmp_path, field):
 def test_a_nested_manifest_is_damage(tmp_path, depth):
     artifact = make(WorkFolder(tmp_path))
     text = b'{"recipe": ' * depth + b"1" + b"}" * (depth - 1) + b', "self_sha256": "' + b"0" * 64 + b'"}'
-    from schemas.manifest import _sealed
+    from schemas.manifest import sealed
 
-    (artifact.path / MANIFEST).write_bytes(_sealed(text))
+    (artifact.path / MANIFEST).write_bytes(sealed(text))
     with pytest.raises(ArtifactDamaged, match="nested"):
         Artifact(artifact.path).verify()
 

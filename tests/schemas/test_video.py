@@ -103,7 +103,7 @@ def test_the_same_frames_are_the_same_bytes_each_time():
     films = set()
     for _ in range(30):
         film = io.BytesIO()
-        video._encode(film, frames, 24.0)
+        video.encode(film, frames, 24.0)
         films.add(film.getvalue())
     assert len(films) == 1
 

@@ -10,9 +10,8 @@ pytest.importorskip("av")
 from av.video.reformatter import Colorspace
 
 from schemas.errors import BadInput, OutOfResources
-from schemas.hdr_transfer import HLG, PQ, compressed, light_of_hlg, light_of_pq
 from schemas.safe_reading import set_allowance
-from schemas.video_reading import frames_of
+from schemas.video_reading import HLG, PQ, compressed, frames_of, light_of_hlg, light_of_pq
 from tests.stages.clips import write_clip
 
 CORNERS = ((200, 40, 90), (20, 180, 60), (90, 90, 220), (230, 220, 40))  # top left, top right, bottom left, right
@@ -36,6 +35,13 @@ def test_times_are_those_of_presentation_not_of_a_constant_rate(tmp_path):
     assert [frame.time for frame in frames_of(clip)] == pytest.approx(times, abs=1e-4)
     later = write_clip(tmp_path / "b.mkv", [quarters()] * 6, [time + 3 for time in times])
     assert [frame.time for frame in frames_of(later)] == pytest.approx(times, abs=2e-3)  # Matroska counts milliseconds
+
+
+def test_a_title_that_is_not_utf_8_is_no_fault(tmp_path):
+    clip = write_clip(tmp_path / "a.mp4", [quarters()] * 2, [0, 0.1], title="TITLE")
+    clip.write_bytes(clip.read_bytes().replace(b"TITLE", b"\xff\xfe\xc0\xaf!"))
+    assert b"\xff\xfe\xc0\xaf!" in clip.read_bytes()
+    assert [frame.time for frame in frames_of(clip)] == pytest.approx([0, 0.1], abs=1e-4)
 
 
 # Counterclockwise turn by the display matrix, and which stored corners are then shown from top left on.

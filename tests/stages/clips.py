@@ -29,11 +29,15 @@ def smeared(picture: np.ndarray, pixels: int = 15) -> np.ndarray:
     return uniform_filter1d(picture.astype(np.float32), pixels, axis=1).round().astype(np.uint8)
 
 
-def write_clip(path: Path, frames, times, turn: float | None = None, codec="libx264", form="yuv420p", **tags) -> Path:
+def write_clip(
+    path: Path, frames, times, turn: float | None = None, codec="libx264", form="yuv420p", title: str = "", **tags
+) -> Path:
     """Write frames [h, w, 3] uint8 (or uint16 for 10 bit) at these times in seconds."""
     import av
 
     with av.open(str(path), "w") as video:
+        if title:
+            video.metadata["title"] = title
         stream = video.add_stream(codec, rate=30)
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt, stream.time_base = form, Fraction(1, TICKS)

@@ -25,7 +25,7 @@ from stages.artifacts.report import read_report
 from stages.artifacts.scene import EDIT_TARGETS, load_scene, space_of
 from stages.comparison.runs import runs_of
 from stages.configs.edit import DistillConfig
-from stages.distill import _edited
+from stages.distill import edited_photo
 from stages.evaluation.test_views import FrameViews
 from stages.finetune import edited_pixels
 from stylerf.editing.edit_grid import Region, solid_cells
@@ -199,7 +199,7 @@ def _use_views(artifact: Artifact, scene: Artifact) -> None:
     pictures, module = load_scene(scene), _module()
     for view in views:
         if view.view < len(pictures.cameras) and (view.width, view.height) == (SIZE, SIZE):
-            _edited(pictures, view, module, PaletteEdits(), DistillConfig(), 1)
+            edited_photo(pictures, view, module, PaletteEdits(), DistillConfig(), 1)
             view.pairs()
         assert view.window
 

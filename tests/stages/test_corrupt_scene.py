@@ -139,4 +139,4 @@ def test_what_cannot_be_damaged_is_refused(source, tmp_path):
         damaged(untested, tmp_path, "seeds")
     config = CorruptSceneConfig(source=str(source.path), source_digest="another")
     with pytest.raises(ArtifactStale, match="was rebuilt meanwhile"):
-        corrupt_scene._source(config)
+        corrupt_scene.source_scene(config)

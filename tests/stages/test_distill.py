@@ -39,7 +39,8 @@ def test_a_pixel_is_painted_as_far_as_the_region_covers_it(channels, weight, sha
         def images(self, index):
             return photo
 
-    found, chosen = distill._edited(Scene(), view_of([5, 60], weight, 0.6), Green(), PaletteEdits(), DistillConfig(), 1)
+    view = view_of([5, 60], weight, 0.6)
+    found, chosen = distill.edited_photo(Scene(), view, Green(), PaletteEdits(), DistillConfig(), 1)
     assert chosen.tolist() == [0, 1]
     wanted = photo.reshape(-1, channels).copy()
     wanted[[5, 60], :3] = share * GREEN + (1 - share) * wanted[[5, 60], :3]
@@ -55,7 +56,7 @@ def test_pixels_of_an_earlier_edit_train_the_whole_field_only(tmp_path):
     reseal(scene.path)
     scene = Artifact(scene.path)
     second = {"1.pixels": np.array([6, 300]), "1.depth": np.float32([4, 5])}
-    distill._keep_earlier(load_scene(scene), second)
+    distill.keep_earlier_edits(load_scene(scene), second)
     save_tensors(scene.path / EDIT_TARGETS, second)
     reseal(scene.path)
     scene = Artifact(scene.path)
@@ -64,5 +65,5 @@ def test_pixels_of_an_earlier_edit_train_the_whole_field_only(tmp_path):
     assert all_of_them.views.tolist() == [0, 0, 0, 1] and all_of_them.pixels.tolist() == [6, 300, 5, 7]
     assert all_of_them.depth.tolist() == [4, 5, 1, 3]
     third = {"2.pixels": np.array([300]), "2.depth": np.float32([6])}
-    distill._keep_earlier(load_scene(scene), third)
+    distill.keep_earlier_edits(load_scene(scene), third)
     assert third["1.earlier_pixels"].tolist() == [6, 300, 5] and third["2.earlier_depth"].tolist() == [3]

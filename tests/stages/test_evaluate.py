@@ -127,9 +127,9 @@ def test_a_report_is_stale_after_a_network_is_installed(tmp_path, monkeypatch):
     here = {}
 
     def resolved(name=None):
-        if (name or "trunk") not in here:
+        if (name or "vgg") not in here:
             raise UsageError("not here")
-        return resolve.ResolvedExtractor(name or "trunk", here[name or "trunk"], tmp_path, "", {}, "")
+        return resolve.ResolvedExtractor(name or "vgg", here[name or "vgg"], tmp_path, "", {}, "")
 
     def recipe(field=None, **options):
         return recipe_of(evaluate.SPEC, {}, pinned(EvaluateConfig(**options), field), 0).digest
@@ -149,10 +149,10 @@ def test_a_report_is_stale_after_a_network_is_installed(tmp_path, monkeypatch):
     field = made.make_field(WorkFolder(tmp_path / "work"), "red", "stylize", {}, **given)
     with pytest.raises(UsageError):
         recipe(field)
-    here["trunk"] = "4" * 64
+    here["vgg"] = "4" * 64
     first = recipe(field)
-    here["trunk"] = "5" * 64
-    assert recipe(field) != first and "trunk 5555" in pinned(EvaluateConfig(), field).networks
+    here["vgg"] = "5" * 64
+    assert recipe(field) != first and "vgg 5555" in pinned(EvaluateConfig(), field).networks
 
 
 def test_nan_in_a_render_is_reported_and_left_out(fitted, tmp_path, monkeypatch):

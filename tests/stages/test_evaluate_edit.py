@@ -227,11 +227,11 @@ def test_masks_of_another_shape_and_empty_folders_are_refused(made_up, tmp_path)
 
 def test_names_with_folders_are_not_mixed_up(tmp_path):
     write_png(tmp_path / "r_0.png", np.full((4, 4), 255, np.uint8))
-    assert mask_module.ImageMasks(tmp_path, ["test/r_0.png"])._file("test/r_0.png") == tmp_path / "r_0.png"
-    assert mask_module.ImageMasks(tmp_path, ["test/r_0", "train/r_0"])._file("test/r_0") is None
+    assert mask_module.ImageMasks(tmp_path, ["test/r_0.png"]).file_of("test/r_0.png") == tmp_path / "r_0.png"
+    assert mask_module.ImageMasks(tmp_path, ["test/r_0", "train/r_0"]).file_of("test/r_0") is None
     write_png(tmp_path / "train" / "r_0.png", np.full((4, 4), 255, np.uint8))
     both = mask_module.ImageMasks(tmp_path, ["test/r_0", "train/r_0"])
-    assert both._file("train/r_0") == tmp_path / "train" / "r_0.png" and both._file("test/r_0") is None
+    assert both.file_of("train/r_0") == tmp_path / "train" / "r_0.png" and both.file_of("test/r_0") is None
 
 
 def test_training_views_have_their_own_metrics(made_up, measured):

@@ -18,11 +18,11 @@ from stages.evaluation.perceptual_metrics import StyleImage, perceptual_networks
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stages.weights import resolve
-from stylerf.metrics.color_distribution import color_distance
+from stylerf.metrics.color_distribution import color_quantiles, distance_of_quantiles
 from tests.stages import evaluation_fixture as made
 
 POSITIONS = [-0.2, 0.2]
-FEATURES = "st-vgg16"  # the trunk that every install has
+FEATURES = "st-vgg16"  # the feature network that every install has
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -120,7 +120,8 @@ def test_metrics_of_a_stylized_field(stylized, painted):
     assert edges["mean"] == pytest.approx(1, abs=0.02) and edges["count"] == 2  # other colors, the same edges
     colors = metric(report, "color_distribution")
     shown = [made.look(made.camera(x, "any")).rgb.reshape(-1, 3) for x in POSITIONS]
-    own = np.mean([color_distance(one.clip(0, 1), painted.reshape(-1, 3)) for one in shown])
+    wanted = color_quantiles(painted.reshape(-1, 3))
+    own = np.mean([distance_of_quantiles(color_quantiles(one.clip(0, 1)), wanted) for one in shown])
     assert colors["reference"]["the unstylized renders"] == pytest.approx(own, abs=0.1)
     assert metric(report, "speckle")["mean"] < 0.002
     assert FEATURES in metric(report, "nnfm")["protocol"] and metric(report, "nnfm")["count"] == 2

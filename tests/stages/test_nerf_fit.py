@@ -11,7 +11,7 @@ from stages import nerf_fit
 from stages.artifacts.field import load_field
 from stages.artifacts.photos import level_of
 from stages.configs.fit import FitConfig
-from stages.nerf_fit import _report_idle, _report_memory, _settings, _shown
+from stages.nerf_fit import fit_settings, report_ineffective_options, report_memory, shown_background
 from stages.run.progress import Context
 from stages.run.runner import execute
 from stylerf.geometry.space_warp import SpaceWarp
@@ -25,7 +25,7 @@ SCENE = SimpleNamespace(background="none", layout="unbounded", cameras=[SimpleNa
 
 
 def settings(space: SpaceWarp, **options):
-    return _settings(FitConfig(**options), SCENE, space)
+    return fit_settings(FitConfig(**options), SCENE, space)
 
 
 def ends_in_time(requested) -> bool:
@@ -51,7 +51,7 @@ def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
 )
 def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last):
     scene = SimpleNamespace(**vars(SCENE) | {"cameras": [SimpleNamespace(width=20, height=pixels)]})
-    requested = _settings(FitConfig(), scene, SPACES[space])
+    requested = fit_settings(FitConfig(), scene, SPACES[space])
     levels = tuple(replace(level, cells=64) for level in requested.levels)
     assert levels == (*LEVELS[:3], last) and not requested.level_max_steps
     assert [level.cells for level in requested.levels] == ([64] * 4 if space == "box" else [64, 64, 128, 128])
@@ -62,12 +62,12 @@ def test_colors_of_an_object_are_finer_where_its_photos_are(space, pixels, last)
 @pytest.mark.parametrize(
     ("layout", "kind", "clears"), [("object", "vm", False), ("forward", "hash", True), ("unbounded", "vm", True)]
 )
-def test_captures_are_cleared_of_haze_and_forward_facing_ones_have_a_local_density(layout, kind, clears):
+def test_captures_lose_haze_and_forward_facing_ones_get_local_density(layout, kind, clears):
     scene = SimpleNamespace(**vars(SCENE) | {"layout": layout})
-    requested = _settings(FitConfig(), scene, SPACES["frustum"])
+    requested = fit_settings(FitConfig(), scene, SPACES["frustum"])
     assert (requested.kinds.density, requested.kinds.color) == (kind, "vm")
     assert (requested.least_weight > 0) == (requested.distortion > 0) == clears
-    given = _settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
+    given = fit_settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
     assert (given.kinds.density, given.least_weight, given.distortion) == ("voxel", 0.0, 0.3)
 
 
@@ -101,18 +101,18 @@ def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
 def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
     space = SPACES["box"]
     budgets = ("20s", "60s", "2m", "5m", "900")
-    assert [_settings(FitConfig(budget=one), SCENE, space).samples for one in budgets] == [
+    assert [fit_settings(FitConfig(budget=one), SCENE, space).samples for one in budgets] == [
         30_000, 30_000, 60_000, 90_000, 90_000,
     ]  # fmt: skip
-    assert len({_settings(FitConfig(budget=one), SCENE, space, "cuda").samples for one in budgets}) == 1
-    assert all(_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
+    assert len({fit_settings(FitConfig(budget=one), SCENE, space, "cuda").samples for one in budgets}) == 1
+    assert all(fit_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
     with pytest.raises(ValueError, match="samples must be 1000 or more"):
         FitConfig(samples=999)
 
 
 @pytest.mark.parametrize("kind", ["white", "black", "none", "random"])
 def test_behind_a_field_stands_what_it_was_trained_over(kind):
-    assert level_of(_shown(kind)) == background_of(kind, 1, None)[0, 0]
+    assert level_of(shown_background(kind)) == background_of(kind, 1, None)[0, 0]
 
 
 def test_a_boxed_object_scene_keeps_its_background_and_reports_its_ranks(tmp_path):
@@ -155,11 +155,11 @@ OF_OBJECTS = {"opacity_weight": 0.01, "coverage_weight": 0.2, "visual_hull": 0.1
         ("forward", "box", True, "--opacity-weight, --coverage-weight"),
     ],
 )
-def test_options_of_objects_without_effect_are_reported_where_they_were_set(layout, space, cut_out, idle):
+def test_object_options_without_effect_are_reported_if_they_were_set(layout, space, cut_out, idle):
     said = Said()
-    _report_idle(FitConfig(), layout, space, cut_out, Context(progress=said))
+    report_ineffective_options(FitConfig(), layout, space, cut_out, Context(progress=said))
     assert said.lines == []
-    _report_idle(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
+    report_ineffective_options(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
     assert len(said.lines) == bool(idle)
     assert not idle or said.lines[0].startswith(f"no effect of {idle}, for objects cut out by transparency: layout")
 
@@ -182,13 +182,13 @@ def test_a_bound_below_what_a_fit_takes_is_reported():
     even = SpaceWarp.box([-1] * 3, [1] * 3)
     for memory, reported in ((950_000_000, True), (1_000_000_000, False)):
         said = Said()
-        _report_memory(settings(even), even, Context(progress=said, memory=memory))
+        report_memory(settings(even), even, Context(progress=said, memory=memory))
         assert len(said.lines) == reported
     said = Said()
-    _report_memory(settings(even), even, Context(progress=said, memory=800_000_000))
+    report_memory(settings(even), even, Context(progress=said, memory=800_000_000))
     assert "--memory 800 MB is less than a field of 256^3 takes to fit, about 964 MB" in said.lines[0]
     small = settings(even, capacity="fixed:64x8x8")
-    _report_memory(small, even, Context(progress=said, memory=10**9))
+    report_memory(small, even, Context(progress=said, memory=10**9))
     assert len(said.lines) == 1
 
 
@@ -200,10 +200,10 @@ def test_a_time_budget_says_what_comes_on_top_of_it():
         state=SimpleNamespace(seconds=5.0),
         dataset=SimpleNamespace(cameras=cameras),
     )  # fmt: skip
-    assert "60 s of training; on top" in nerf_fit._beside_training(FitConfig(), fitter)
-    assert "PNG" not in nerf_fit._beside_training(FitConfig(buffers=False), fitter)
+    assert "60 s of training; on top" in nerf_fit.time_beside_training(FitConfig(), fitter)
+    assert "PNG" not in nerf_fit.time_beside_training(FitConfig(buffers=False), fitter)
     # 25 checks of 0.2 s; 1200 pixels where 400 take 0.2 s; of 8.4 s, 5 s are training and 0.4 s checks.
-    assert nerf_fit._in_all(FitConfig(), fitter, 8.4) == (
+    assert nerf_fit.estimated_total(FitConfig(), fitter, 8.4) == (
         "about 69 s or more in all: 60 s of training, 3 s of loading, 5 s of checks, 1 s of rendering 6 views"
     )
-    assert nerf_fit._in_all(FitConfig(buffers=False), fitter, 5.4).startswith("about 65 s or more in all")
+    assert nerf_fit.estimated_total(FitConfig(buffers=False), fitter, 5.4).startswith("about 65 s or more in all")

@@ -26,7 +26,7 @@ def test_every_seed_counts_for_the_reach_however_many_there_are():
     for order in (points, points[::-1], np.roll(points, 7, axis=0)):
         among = np.ones((CELLS,) * 3, bool)
         among[0] = False
-        found = region_select._within(looking(), order, 0.15, among)
+        found = region_select.cells_within(looking(), order, 0.15, among)
         centers = (np.argwhere(among) + 0.5) / CELLS
         expected = (np.linalg.norm(centers[:, None] - points, axis=2) <= 0.15).any(1)
         np.testing.assert_array_equal(found[among], expected)

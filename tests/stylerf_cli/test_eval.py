@@ -119,7 +119,7 @@ def test_one_frame_is_no_film(work, renderer, capsys):
 
 
 @pytest.mark.parametrize("config", [{"exr": False}, {"scale": 0.5}, {"frames": "0-1"}])
-def test_frames_that_cannot_be_measured_are_kept_and_others_rendered_beside(work, renderer, capsys, config):
+def test_unmeasurable_frames_are_kept_and_others_rendered_beside(work, renderer, capsys, config):
     field = work.get("field", "wall")
     kept = [render(work, field, path, **config).digest for path in ("test", "slide")]
     assert "short_rmse" not in result(capsys, work.root)["figures"]

@@ -126,7 +126,7 @@ def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch
     ],
 )
 def test_references_that_are_none(work, paintings, capsys, reference, words):
-    """Told before any work, even of the stages before."""
+    """Reported before any work, even of the stages before."""
     write_png(paintings / "wide.png", np.zeros((64, 80, 3), np.uint8))
     views = json.loads((work / "scene/main/scene.json").read_text())["views"]
     held_out = next(view["name"] for view in views if view["split"] == "test")
@@ -135,7 +135,7 @@ def test_references_that_are_none(work, paintings, capsys, reference, words):
     assert not (work / "field/new").exists()
 
 
-def test_a_feed_forward_reference_without_its_weights_is_refused_in_a_line(work, photos, capsys, monkeypatch, tmp_path):
+def test_a_feed_forward_reference_without_weights_is_refused_in_a_line(work, photos, capsys, monkeypatch, tmp_path):
     monkeypatch.delenv("STYLERF_WEIGHTS", raising=False)
     monkeypatch.setenv("STYLERF_CACHE", str(tmp_path))
     command = ("stylize", work, "--style", photos / "painting.png", "--method", "refnpr", "--reference-by", "adain")
@@ -227,14 +227,14 @@ def test_a_film_that_cannot_be_is_refused_before_any_frame_is_rendered(work, cap
     assert words in reported(capsys, code, "render", work, "--of", "fit", "--count", "2", "--video", *flags)
 
 
-def test_a_film_of_frames_of_several_sizes_is_refused_before_any_is_rendered(work, tmp_path, capsys, monkeypatch):
+def test_a_video_of_frames_of_several_sizes_is_refused_before_rendering(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(render, "render_view", None)
     (tmp_path / "cameras.json").write_text(json.dumps([SOUND, SOUND | {"width": 24}, SOUND | {"width": 20}]))
     line = reported(capsys, 3, "render", work, "--of", "fit", "--path", tmp_path / "cameras.json", "--video")
     assert "--video" in line and "16x16 and 24x16" in line
 
 
-def test_a_sound_camera_file_is_followed_and_followed_again_when_it_changes(work, tmp_path, capsys):
+def test_a_camera_file_is_rendered_again_only_when_it_changes(work, tmp_path, capsys):
     (tmp_path / "cameras.json").write_text(json.dumps([SOUND]))
     command = ["render", str(work), "--of", "fit", "--path", str(tmp_path / "cameras.json"), "--json", "--quiet"]
     frames = []

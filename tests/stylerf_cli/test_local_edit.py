@@ -157,7 +157,7 @@ def test_other_palette_changes_need_no_training(edited, capsys):
     assert read_image(Path(made["edit"]) / "palette.png").pixels.shape[2] == 3
 
 
-def test_a_tint_takes_every_palette_color_and_one_that_is_named_goes_its_own_way(edited, capsys):
+def test_a_tint_changes_every_palette_color_but_those_that_are_named(edited, capsys):
     requested = ("--palette", "all=#2030f0", "--palette", "1=#ffffff", "--name", "tint")
     made = said(capsys, "stylize", edited, "--region", "ball", "--recolor", *requested, *QUICK)
     assert made["figures"]["learned"] == "ball-learned" and not (edited / "edit" / "tint-learned").exists()
@@ -182,7 +182,7 @@ def test_what_stands_under_the_ordinary_name_needs_no_training_either(edited, ca
     assert sorted(edits) == ["ball-recolor", "ball-recolor-changed"]
 
 
-def test_a_change_under_the_very_name_of_what_was_learned_needs_no_training(edited, capsys, tmp_path, monkeypatch):
+def test_a_change_under_the_name_of_the_learned_edit_needs_no_training(edited, capsys, tmp_path, monkeypatch):
     work, requested = tmp_path / "work", ("--region", "ball", "--recolor", "--palette-steps", "30", *QUICK[2:])
     shutil.copytree(edited, work)
     said(capsys, "stylize", work, *requested, "--name", "vase")
@@ -235,7 +235,7 @@ def test_options_of_extract_and_distill_reach_the_edit(edited, capsys, tmp_path)
     assert work.get("scene", "wide").manifest.config["min_opacity"] == 0.6
 
 
-def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gone_back_to(edited, middle, capsys):
+def test_a_second_edit_keeps_the_first_and_either_can_be_restored(edited, middle, capsys):
     work, first = WorkFolder(edited), middle.partition(":")[0]
     scene = load_scene(next(one for one in work.artifacts("scene") if one.manifest.stage == "pose_import"))
     covered = binary_erosion(scene.images(scene.splits["train"][0])[..., 3] > 0.99, iterations=4)
@@ -279,7 +279,7 @@ def test_a_second_edit_of_the_edited_field_keeps_the_first_and_either_can_be_gon
     assert "holds a local edit over its colors" in refused(capsys, "finetune", edited, "--edit", "table", *again)
 
 
-def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edit(edited, capsys):
+def test_a_palette_of_the_whole_scene_is_learned_from_edited_pictures(edited, capsys):
     few = ("--budget", "30", "--refit-steps", "40", "--pixels", "512", "--levels", "4", "--table-bits", "12")
     said(capsys, "stylize", edited, "--of", "ball", "--method", "palettenerf", *few, "--name", "all-over")
     work = WorkFolder(edited)
@@ -294,7 +294,7 @@ def test_a_palette_of_the_whole_scene_is_learned_from_pictures_that_hold_the_edi
 
 
 @pytest.mark.parametrize("picture", ["red", pytest.param("painting", marks=pytest.mark.slow)])
-def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(
+def test_a_part_alone_is_stylized_after_a_view_and_the_rest_keeps_bits(
     edited, middle, capsys, tmp_path, picture
 ):
     """After a picture that is given, and after one that is painted first."""
@@ -333,7 +333,7 @@ def test_a_part_alone_is_stylized_after_a_view_and_all_else_stays_to_the_bit(
         assert figures["background_ratio"] == pytest.approx(1, abs=0.1) and figures["change_inside"] > 0.02
 
 
-def test_a_part_is_stylized_by_methods_that_can_and_whole_pictures_are_not_matched(edited, capsys):
+def test_a_part_is_stylized_without_matching_whole_pictures(edited, capsys):
     painting = edited / "photos" / "painting.png"
     options = "--region", "ball", "--style", painting, "--method", "refnpr", "--match", "both"
     reported = refused(capsys, "stylize", edited, *options)

@@ -182,7 +182,7 @@ def test_an_unexpected_fault_leaves_a_report_in_the_work_folder(tmp_path, capsys
     assert "p\\udcff.png" in text and "Traceback" in text and f"stylerf toy {tmp_path}" in text
 
 
-def test_a_report_goes_to_the_temporary_folder_where_there_is_no_work_folder(tmp_path, capsys, monkeypatch):
+def test_without_a_work_folder_a_report_goes_to_the_temporary_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     toy_verb.FAULT.append(ZeroDivisionError())
     assert main(["toy", "nowhere"]) == 1

@@ -38,7 +38,7 @@ def test_two_processes_make_the_artifact_of_one(scene, nursery, tmp_path):
     assert timeless(fields[0].manifest.figures) == timeless(fields[1].manifest.figures)
 
 
-def test_a_process_that_dies_ends_the_run_in_one_line_and_leaves_it_resumable(scene, nursery, tmp_path):
+def test_a_process_that_dies_ends_the_run_in_a_line_and_resumably(scene, nursery, tmp_path):
     more = ("--checkpoint-every-seconds", "0.2", "--quiet")
     processes = start(2, *command(scene, 100_000, *more), folder=tmp_path)
     saved = scene / "field/.fit.partial/checkpoint"

@@ -181,7 +181,7 @@ def fitted(work, capsys, name) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize("call", ["fsync", "replace"])
-def test_a_disk_that_fills_up_at_the_last_moment_leaves_nothing_half_written(work, capsys, monkeypatch, call):
+def test_a_disk_that_fills_at_the_end_leaves_nothing_half_written(work, capsys, monkeypatch, call):
     """ENOSPC from flush or rename, which is where delayed allocation and quotas show."""
     real = getattr(os, call)
 

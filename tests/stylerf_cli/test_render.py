@@ -155,10 +155,10 @@ def test_paths_of_other_tools_are_rendered(work, tmp_path, capsys, name):
     folder, said = rendered(work, capsys, "--of", "fit", "--path", tmp_path / name)
     (view,) = read_frames(folder).views
     np.testing.assert_allclose(view.camera.world_from_camera, first.world_from_camera, atol=1e-9)
-    assert ("taken to be in the frame of the scene's source" in said) == (name == "camera_path.json")
+    assert ("frame of the scene's source" in said) == (name == "camera_path.json")
 
 
-def test_cameras_of_a_file_see_as_the_scenes_first_in_as_many_pixels_as_they_ask_for(work, tmp_path):
+def test_cameras_of_a_file_take_what_they_lack_from_the_scenes_first(work, tmp_path):
     scene = load_scene(WorkFolder(work).get("scene", "main"))
     first = replace(scene.cameras[0], cx=15.0, fy=40.0)
     pose = {"world_from_camera": first.world_from_camera.tolist()}

@@ -171,7 +171,7 @@ def test_whatever_a_method_raises_it_has_failed(folder, runs, capsys, fault):
     assert (cell["successes"], cell["count"]) == (2, 3) and type(fault).__name__ in cell["whys"][0]
 
 
-@pytest.mark.parametrize("fault", [UsageError("no trunk"), ArtifactDamaged("cut short"), ArtifactStale("gone")])
+@pytest.mark.parametrize("fault", [UsageError("no network"), ArtifactDamaged("cut short"), ArtifactStale("gone")])
 def test_what_is_not_of_a_method_ends_it_and_is_not_counted(folder, runs, capsys, fault):
     runs.raising["fit", "seeds", 1] = fault
     assert stress(folder) == fault.exit_code and str(fault) in capsys.readouterr().err
@@ -181,9 +181,9 @@ def test_what_is_not_of_a_method_ends_it_and_is_not_counted(folder, runs, capsys
 def test_another_trunk_or_device_is_another_run_and_no_baseline(folder, runs, capsys, monkeypatch, tmp_path):
     baseline = str(tmp_path / "baseline.json")
     assert stress(folder, "--write-baseline", baseline) == 0 and len(runs.made) == 15
-    other = {"features": "another-trunk", "features_digest": ""}
+    other = {"features": "another-network", "features_digest": ""}
     monkeypatch.setattr(trials.resolve, "chosen", lambda features: other)
-    assert stress(folder, "--baseline", baseline) == 2 and "now 'another-trunk'" in capsys.readouterr().err
+    assert stress(folder, "--baseline", baseline) == 2 and "now 'another-network'" in capsys.readouterr().err
     assert stress(folder) == 0 and len(runs.made) == 15 + 9  # a fit sees no painting
     monkeypatch.setattr(trials.resolve, "chosen", lambda features: (_ for _ in ()).throw(UsageError("none")))
     fits = ("--methods", "fit", "--faults", "seeds", "blur", "--seeds", "3", "--budget", "10")
@@ -373,7 +373,7 @@ def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path
     assert "no cell could be compared" in capsys.readouterr().err
 
 
-def test_what_stands_of_a_stress_that_was_stopped_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
+def test_a_stopped_stress_is_no_baseline_and_passes_none(folder, runs, capsys, tmp_path):
     baseline = tmp_path / "baseline.json"
     assert stress(folder, "--write-baseline", str(baseline)) == 0
     kept = baseline.read_bytes()

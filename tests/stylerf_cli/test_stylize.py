@@ -81,7 +81,7 @@ def test_that_the_field_of_another_painting_is_replaced_is_said(work, tmp_path, 
     assert "replaced" not in stylized(work, capsys, one)
 
 
-def test_an_edited_field_is_stylized_by_the_photos_that_hold_its_edit_and_a_stylized_one_is_not(work, tmp_path, capsys):
+def test_edited_fields_are_stylized_by_edited_photos_stylized_ones_never(work, tmp_path, capsys):
     fit, style = work.get("field", "fit"), painting(tmp_path / "night.png", 0)
     photos = made.commit(work, "scene", "vase-red", "distill", {"scene": work.artifacts("scene")[0]}, blank)
     made.make_field(work, "vase-red", "finetune", {"scene": photos, "field": fit})

@@ -1,4 +1,4 @@
-"""Blended colors on a GPU: the layers of fields/blended_color.py, composited as rendering/layers.py does."""
+"""Blended colors on a GPU: the layers of fields/blended_color.py, composited as rendering/rays.py does."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class GpuBlendedColor:
                 yield layer, own
 
     def composited(self, samples: GpuSamples, directions: Tensor) -> Tensor:
-        """Return [rays, 5] as composite_layers() in rendering/layers.py does."""
+        """Return [rays, 5] as composite_layers() in rendering/rays.py does."""
         out = torch.zeros((len(samples.starts), 5), device=samples.x.device)
         for layer, share in self.shares(samples, torch.ones_like(samples.weights)):
             assert isinstance(layer.color, GpuColor)

@@ -202,7 +202,7 @@ class EditTrainer:
         number = list(self._steps()).index(self.state.phase)
         # Seeded by phase and step: a resumed run draws what an uninterrupted one would.
         generator = np.random.default_rng([self.seed, 3, number, self.state.step])
-        at = self._view_of_step(number)
+        at = self.view_of_step(number)
         view, style = self.views[at], None if self.state.phase == "palette" else self.style
         rows = np.arange(len(view))
         # Image losses need every pixel of the view; losses of pixels do with a sample.
@@ -226,7 +226,7 @@ class EditTrainer:
         self.engine.step(values.grad, self.settings.rate * decay, self.settings.table_rate * decay)
         return self.engine.report(parts)
 
-    def _view_of_step(self, number: int) -> int:
+    def view_of_step(self, number: int) -> int:
         """The step's view: each once per epoch, in a new order each time."""
         epoch, at = divmod(self.state.step, len(self.views))
         return int(np.random.default_rng([self.seed, 2, number, epoch]).permutation(len(self.views))[at])

@@ -132,7 +132,8 @@ class Fitter:
         finest, levels = settings.levels[-1].resolution, settings.kinds.hash_levels
         return capacity_at(level, finest, levels, self.space, occupancy, settings.degree)
 
-    def _resize(self, level: CapacityLevel) -> None:
+    def resize(self, level: CapacityLevel) -> None:
+        """Take the present field to another capacity level, with the same picture as far as that can hold it."""
         # Seeded by the level, not by what was drawn before: a resumed run repeats a trial from the same values.
         generator = np.random.default_rng([self.seed, 2, level.resolution])
         old = self.field
@@ -152,7 +153,7 @@ class Fitter:
         return "held-out views" if self.held_out else "training views"
 
     @property
-    def _judging(self) -> bool:
+    def judging(self) -> bool:
         """Whether views are held out now."""
         until = self.settings.held_out_until
         return self.held_out > 0 and self.progress < until and (until >= 1 or not self.state.decided)
@@ -162,7 +163,7 @@ class Fitter:
         # Processes may differ in rounding, which could tip a decision: all take the first one's number.
         return self.group.of_first(self.held_out_rays.psnr(self.engine.rendered))
 
-    def _balance(self, exposures: Exposures, quality: float) -> float:
+    def balance(self, exposures: Exposures, quality: float) -> float:
         """Estimate by how many stops the photos differ, and correct them; returns the quality on the corrected photos.
 
         Earlier qualities are shifted by the difference, which would otherwise look like a fall or a gain.
@@ -214,7 +215,7 @@ class Fitter:
 
     def _batch(self) -> Batch:
         """The next step."""
-        among = len(self.dataset.cameras) - (self.held_out if self._judging else 0)
+        among = len(self.dataset.cameras) - (self.held_out if self.judging else 0)
         return batch_at(self.progress, self.state, self.settings, among, self.search.rate, self.dataset.channels)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
@@ -250,9 +251,9 @@ class Fitter:
 
     def warm_up(self) -> None:
         """Compile every kernel that a step uses, for the ranks of all levels, without training."""
-        self._warm_up([*self.settings.levels, self.search.level])
+        self.warm_up_levels([*self.settings.levels, self.search.level])
 
-    def _warm_up(self, levels: Iterable[CapacityLevel]) -> None:
+    def warm_up_levels(self, levels: Iterable[CapacityLevel]) -> None:
         """Compile for these levels: kernels differ by ranks and, on a GPU, by the color's degree."""
         settings, generator, scratch = self.settings, np.random.default_rng(0), []
         kinds = {(level.density_rank, level.color_rank, min(level.degree, settings.degree)) for level in levels}
@@ -288,14 +289,14 @@ class Fitter:
         fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0 and not recovering  # NaN counts as a fall
         judging = EXPOSURE_FROM <= self.progress <= self.settings.held_out_until and state.stops != []
         if self.exposures is not None and judging and not fallen and math.isfinite(quality):
-            quality = self._balance(self.exposures, quality)
+            quality = self.balance(self.exposures, quality)
         state.curve.append(
             {
                 "step": state.step,
                 "seconds": round(state.seconds, 2),
                 "psnr": round(quality, 3),
                 "parameters": self.parameters,
-                "held_out": self._judging,
+                "held_out": self.judging,
             }
         )
         if fallen:
@@ -317,7 +318,7 @@ class Fitter:
             reduced = self.held_out_psnr()
             # What is rejected at once is never trained, so its kernels need not be compiled.
             if search.enough(reduced) or not search.hopeless(reduced):
-                self._warm_up([search.level])
+                self.warm_up_levels([search.level])
                 if not search.enough(reduced):
                     break  # some training decides
             # Kept without a step, or hopeless: judge it now, and try the next pruning on what remains.
@@ -335,7 +336,7 @@ class Fitter:
     def _try(self, what: str, quality: float) -> None:
         self._keep()
         self.state.best = max(self.state.best, quality)
-        self._resize(self.search.begin(what, quality, self.parameters, self.progress))
+        self.resize(self.search.begin(what, quality, self.parameters, self.progress))
 
     def _judge(self, quality: float) -> float:
         """Keep or drop the change on trial; the held-out quality of the field that remains."""
@@ -379,7 +380,7 @@ class Fitter:
     def _note_quality(self, quality: float) -> None:
         """Record the quality, dB: of held-out views, or of views that are trained on."""
         if math.isfinite(quality):
-            self.state.quality["held out" if self._judging else "trained on"] = round(quality, 3)
+            self.state.quality["held out" if self.judging else "trained on"] = round(quality, 3)
 
     def _go_back(self) -> None:
         """Restore the anchor, and its quality."""

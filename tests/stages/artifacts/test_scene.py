@@ -38,7 +38,7 @@ def build(root, change_view=None, points=None, size=(6, 8), channels=4):
     truth = ExrView(np.ones((6, 8, 3)), np.ones((6, 8)), depth, depth, POSE, (9, 10, 4, 3), 1, 5)
     write_exr(begun.path / "truth/depth_001.exr", truth)
     bounds = Bounds(((-1, -1, -1), (1, 1, 1)), 1, 5)
-    scene = Scene(tuple(views), "object", "told", bounds, "alpha", as_matrix(np.eye(4)))
+    scene = Scene(tuple(views), "object", "given", bounds, "alpha", as_matrix(np.eye(4)))
     scene = dataclasses.replace(scene, truth=Truth("truth/depth_000.exr"))
     write_scene(begun.path, scene)
     if points is not None:
@@ -140,7 +140,7 @@ def test_a_distilled_scene_holds_photos_of_one_exposure(tmp_path):
     seen = dataclasses.replace(load_scene(scene), stops={"train_001": 1.0, "train_002": -0.5})
     copy = tmp_path / "copy"
     shutil.copytree(scene.path, copy)
-    distill._write_others(seen, {1}, copy)
+    distill.write_unedited_photos(seen, {1}, copy)
     for index, wanted in ((1, load_scene(scene).images(1)), (2, seen.images(2)), (3, load_scene(scene).images(3))):
         assert np.abs(read_image(copy / seen.views[index].image).pixels - wanted).max() < 0.51 / 255
 

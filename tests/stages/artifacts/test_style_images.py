@@ -68,7 +68,7 @@ def test_the_digest_is_of_views_and_content(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "loss", "taps", "match"),
+    ("options", "loss", "layers", "match"),
     [
         ({}, "transport", "conv2_1,conv3_1", "both"),
         ({"match_by": "nearest"}, "nnfm", "conv3", "both"),
@@ -82,11 +82,11 @@ def test_the_digest_is_of_views_and_content(tmp_path):
         ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "transport", "conv2_1,conv3_1", "before"),
     ],
 )
-def test_loss_layers_and_matching_follow_from_the_method(options, loss, taps, match):
+def test_loss_layers_and_matching_follow_from_the_method(options, loss, layers, match):
     method = CONFIGS[options.get("method", "arf")]
     config = method(**{"style": "" if "reference" in options else "x"} | options)
     found = image_loss(config), image_layers(config, WEIGHTS), match_of(config)
-    wanted = ",".join(layers_of(taps)) if taps != config.layers or config.method == "refnpr" else taps
+    wanted = ",".join(layers_of(layers)) if layers != config.layers or config.method == "refnpr" else layers
     assert found == (loss, wanted, match)
 
 

@@ -65,8 +65,8 @@ def test_contenders_are_named_by_what_differs(contenders):
 def test_two_of_the_same_name_get_that_of_their_field(contenders):
     run = contenders[0][0].run
     config = {"rate": 0.1, "style_digest": "a"}
-    twins = [(run, config), (replace(run, name="twin"), {**config, "style_digest": "b"})]
-    assert labels_of(twins) == [f"arf ({run.name})", "arf (twin)"]
+    pair = [(run, config), (replace(run, name="other"), {**config, "style_digest": "b"})]
+    assert labels_of(pair) == [f"arf ({run.name})", "arf (other)"]
     older = [(run, {"budget": "30s", "layers": ""}), (run, {"budget": "30s", "layers": "conv3", "coarse": 0.5})]
     assert labels_of(older) == ["arf", "arf, coarse 0.5, layers conv3"]
     assert labels_of([(run, config), (replace(run, method="snerf"), config)]) == ["arf", "snerf"]

@@ -101,6 +101,7 @@ def test_pycolmap_reads_the_model_and_projects_as_the_scene_does(bent, tmp_path)
     model, data = pycolmap.Reconstruction(made.path / "sparse/0"), load_scene(bent)
     to_source = file_from_scene(data, "source")
     point = data.cameras[0].unproject(np.array([[7.0, 9.0]]), np.array([2.0]))
+    assert len(model.images) == len(data.cameras)
     for image in model.images.values():
         own = next(one for one in data.cameras if f"{one.name}.png" == image.name)
         pixel = image.project_point(to_source[:3, :3] @ point[0] + to_source[:3, 3])

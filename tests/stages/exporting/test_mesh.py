@@ -102,6 +102,7 @@ def test_colors_are_linear_in_glb_and_srgb_in_ply(made):
 
 def test_export_json_leads_back_to_the_scene(made):
     content = json.loads((made.path / "export.json").read_text())
+    assert {one["path"] for one in content["files"]} == {"mesh.glb", "mesh.obj", "mesh.ply"}
     for one in content["files"]:
         matrix = np.linalg.inv(one["file_from_scene"])
         vertices = trimesh.load(made.path / one["path"], force="mesh", process=False).vertices

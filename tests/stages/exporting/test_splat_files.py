@@ -8,7 +8,7 @@ import pytest
 
 from schemas.errors import BadInput
 from stages.configs.export import ExportConfig
-from stages.exporting import splat_glb, splat_ply, splat_spz, splat_usd
+from stages.exporting import splat_files
 from stylerf.kernels.cpu.splats import Gaussians
 
 
@@ -26,7 +26,7 @@ def splats(bands: int = 4, count: int = 50) -> Gaussians:
 @pytest.mark.parametrize("bands", [1, 4, 9])
 def test_ply_has_the_same_numbers_for_gsply(bands, tmp_path):
     gsply, written = pytest.importorskip("gsply"), splats(bands)
-    splat_ply.write_ply(tmp_path / "s.ply", written)
+    splat_files.write_ply(tmp_path / "s.ply", written)
     read = gsply.plyread(tmp_path / "s.ply")
     found = read.means, read.scales, read.quats, read.opacities, read.sh0
     expected = (*written[:4], written.harmonics[:, 0])
@@ -38,7 +38,7 @@ def test_ply_has_the_same_numbers_for_gsply(bands, tmp_path):
 
 def test_ply_of_degree_0_has_the_color_that_viewers_compute(tmp_path):
     one = splats(1, 1)
-    splat_ply.write_ply(tmp_path / "s.ply", one)
+    splat_files.write_ply(tmp_path / "s.ply", one)
     header, body = (tmp_path / "s.ply").read_bytes().split(b"end_header\n")
     names = [line.split()[-1].decode() for line in header.splitlines() if line.startswith(b"property float")]
     numbers = dict(zip(names, np.frombuffer(body, "<f4"), strict=True))
@@ -51,7 +51,7 @@ def test_ply_of_degree_0_has_the_color_that_viewers_compute(tmp_path):
 def test_spz_has_the_same_numbers_within_its_steps(tmp_path):
     pytest.importorskip("gsply")
     written = splats(1)
-    bits = splat_spz.write_spz(tmp_path / "s.spz", written)
+    bits = splat_files.write_spz(tmp_path / "s.spz", written)
     # Niantic's layout: header, then positions (24 bits), opacities, colors, scales (8 bits), rotations (version 3).
     data = gzip.decompress((tmp_path / "s.spz").read_bytes())
     magic, version, n, degree, fraction = struct.unpack_from("<4sIIBB", data)
@@ -71,15 +71,15 @@ def test_spz_has_the_same_numbers_within_its_steps(tmp_path):
 def test_spz_gives_up_precision_for_reach_and_refuses_what_does_not_fit(tmp_path):
     pytest.importorskip("gsply")
     far = splats(1)._replace(centers=splats(1).centers * np.float32(1e4))
-    assert splat_spz.write_spz(tmp_path / "s.spz", far) < 12
+    assert splat_files.write_spz(tmp_path / "s.spz", far) < 12
     beyond = far._replace(centers=far.centers * np.float32(1e4))
     with pytest.raises(BadInput, match="--units scene"):
-        splat_spz.write_spz(tmp_path / "t.spz", beyond)
+        splat_files.write_spz(tmp_path / "t.spz", beyond)
 
 
 def test_glb_has_the_same_numbers_for_pygltflib(tmp_path):
     pygltflib, written = pytest.importorskip("pygltflib"), splats(4)
-    splat_glb.write_glb(tmp_path / "s.glb", written)
+    splat_files.write_glb(tmp_path / "s.glb", written)
     read = pygltflib.GLTF2().load(tmp_path / "s.glb")
     blob, primitive = read.binary_blob(), read.meshes[0].primitives[0]
     assert read.extensionsUsed == ["KHR_gaussian_splatting"] and primitive.mode == pygltflib.POINTS
@@ -108,7 +108,7 @@ def test_usd_has_the_same_numbers(name, tmp_path):
     if not hasattr(volumes, "ParticleField3DGaussianSplat"):
         pytest.skip("OpenUSD before 26.03")
     written = splats(4)
-    splat_usd.write_usd(tmp_path / name, written, ExportConfig(kind="splats", formats="usda"))
+    splat_files.write_usd(tmp_path / name, written, ExportConfig(kind="splats", formats="usda"))
     stage = usd.Stage.Open(str(tmp_path / name))
     prim = volumes.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/shot/splats"))
     close = {"rtol": 1e-6, "atol": 1e-6}

@@ -56,7 +56,7 @@ def test_the_ordinary_import_brings_the_cameras_back(photos, tmp_path):
 
 
 @pytest.mark.parametrize("of", ["written", "imported"])
-def test_written_depth_unprojects_onto_the_still_life_by_the_written_matrices_alone(photos, tmp_path, of):
+def test_written_depth_and_matrices_unproject_onto_the_still_life(photos, tmp_path, of):
     """What a compositor does: read with OpenImageIO, take Z, worldToCamera and worldToNDC, and nothing else."""
     folder = photos / "truth" if of == "written" else imported(photos, tmp_path / "work").path / "truth"
     files = sorted(folder.glob("*.exr"))
@@ -106,7 +106,7 @@ def test_a_stop_while_other_photos_are_written_is_not_taken_for_whole(photos, tm
     folder = tmp_path / "photos"
     write_demo(folder, SIZE, TRAIN, TEST, SEED, 1, Silent())
     wanted = {path.relative_to(folder): data for path, (_, data) in snapshot(folder).items()}
-    real, left = demo_scene._write_view, [2]
+    real, left = demo_scene.write_view, [2]
 
     def dying(*arguments):
         if not left[0]:
@@ -115,7 +115,7 @@ def test_a_stop_while_other_photos_are_written_is_not_taken_for_whole(photos, tm
         real(*arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr(demo_scene, "_write_view", dying)
+        patch.setattr(demo_scene, "write_view", dying)
         with pytest.raises(KeyboardInterrupt):
             write_demo(folder, SIZE, TRAIN, TEST, SEED + 1, 1, Silent())
     assert json.loads((folder / "demo.json").read_text()) == {}

@@ -678,13 +678,13 @@ def _(source, tmp_path):
     whole = np.full((HEIGHT, WIDTH), 255, np.uint8)
     for masks, cut in ((moving, True), (bust, True), (still, True), ([*moving[:3], whole], True),
                        ([*moving[:2], whole, whole], False)):  # fmt: skip
-        backdrop = Background("auto")
+        background = Background("auto")
         for mask in masks:
             colors = np.full((HEIGHT, WIDTH, 3), 0.5, np.float32)
-            backdrop.seen(evidence_of(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors))
-        backdrop.decide()
-        assert (backdrop.kind, backdrop.cuts_out) == ("alpha", "transparency" if cut else "")
-        assert bool(backdrop.remark) != cut
+            background.seen(evidence_of(np.dstack([colors, mask / 255]) if mask.min() < 255 else colors))
+        background.decide()
+        assert (background.kind, background.cuts_out) == ("alpha", "transparency" if cut else "")
+        assert bool(background.remark) != cut
     assert layout_with(source, tmp_path / "two", *moving[:2], None, None)[0] != "object"
 
 

@@ -42,7 +42,7 @@ def test_room_is_what_a_bound_leaves_beside_what_is_in_use(monkeypatch):
     assert available_bytes(10**9) == 400 * 10**6 and available_bytes(500 * 10**6) == 0
 
 
-def test_without_a_bound_most_of_what_is_free_is_shared_among_the_processes_of_a_machine(monkeypatch):
+def test_without_a_bound_processes_share_most_of_the_free_memory(monkeypatch):
     assert free() > 0
     monkeypatch.setattr(memory, "free", lambda: 8 * 10**9)
     assert available_bytes(0) == 6 * 10**9

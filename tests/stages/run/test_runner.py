@@ -167,7 +167,7 @@ def die_at(number: int, action) -> None:
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_death_before_any_flush_rename_or_removal_leaves_old_or_new_and_resumes(tmp_path, replaced):
+def test_a_death_at_any_flush_rename_or_removal_leaves_old_or_new(tmp_path, replaced):
     config = ToyConfig(steps=4)
     wanted = files_of(toy(WorkFolder(tmp_path / "undisturbed"), config=config)[0])
     for number in itertools.count():
@@ -625,7 +625,7 @@ def test_a_file_from_outside_that_changed_meanwhile_gives_no_result(tmp_path, pi
 
 
 @pytest.mark.parametrize("kind", [BadInput, ArtifactDamaged])
-def test_what_could_not_be_read_keeps_the_run_whatever_the_fault_is_called(tmp_path, kind):
+def test_a_failed_read_keeps_the_run_whatever_the_error_is_called(tmp_path, kind):
     def failing(inputs, config, partial, context):
         (partial.checkpoint / "kept").write_text("")
         try:

@@ -144,7 +144,8 @@ def test_a_damaged_database_is_made_again(job, damage):
     DAMAGES[damage](path)
     tell, path = matched(job)
     assert rows(path) == whole
-    assert tell.lines == ["warning: the features and matches of the interrupted run are damaged; recomputing them"]
+    (line,) = tell.lines
+    assert line.startswith("warning: the features") and "damaged" in line
 
 
 def test_an_intact_database_is_kept_and_partial_rows_are_recomputed(job, tmp_path):
@@ -205,7 +206,7 @@ def test_damaged_poses_are_found_again(ended, tmp_path):
     cut(tmp_path / "c" / "sfm" / "job.json")
     said = Said()
     scene = reconstructed(room, tmp_path / "c", said)
-    assert "warning: the poses of the interrupted run are damaged; recomputing them" in said.lines
+    assert any(line.startswith("warning: the poses") and "damaged" in line for line in said.lines)
     assert len(scene.cameras) == 8
     for one in ("images.bin", "cameras.bin", "points3D.bin"):
         assert file_sha256(tmp_path / "c" / "sfm" / "model" / one) == file_sha256(checkpoint / "sfm" / "model" / one)

@@ -1,4 +1,4 @@
-"""Pairs are matched by several processes as by one, and what goes wrong in one of them is told."""
+"""Pairs are matched by several processes as by one, and errors of any one of them are reported."""
 
 import os
 import signal
@@ -67,14 +67,14 @@ def test_matching_goes_on_where_it_was_cut_short(photos, tmp_path, monkeypatch):
     path, used = with_features(job)
     merged = []
 
-    def cut_short(part, whole, merge=matching._merge):
+    def cut_short(part, whole, merge=matching.merge_database):
         if len(merged) == 2:
             raise KeyboardInterrupt
         merged.append(part)
         merge(part, whole)
 
     with monkeypatch.context() as cut:
-        cut.setattr(matching, "_merge", cut_short)
+        cut.setattr(matching, "merge_database", cut_short)
         with pytest.raises(KeyboardInterrupt):
             matching.match(job, path, used, Heard())
     heard = Heard()

@@ -439,7 +439,7 @@ def test_photos_that_all_face_forward_stand_as_their_file_tells(data_dir, tmp_pa
     assert angles.max() < 0.5 and distances.max() < 0.01
 
 
-def test_a_child_that_cannot_load_its_libraries_is_not_blamed_on_the_photos(tmp_path, room, monkeypatch):
+def test_a_child_without_its_libraries_is_not_blamed_on_the_photos(tmp_path, room, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     (tmp_path / "pycolmap.py").write_text("raise ImportError('libcolmap.so: Input/output error')")
     with pytest.raises(OutOfResources, match=r"could not start .*Input/output error"):

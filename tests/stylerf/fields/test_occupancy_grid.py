@@ -65,7 +65,7 @@ def test_a_finer_grid_knows_the_same():
         assert finer.highest[new] == made.highest[old] and (finer.distances[new] == 0) == (made.distances[old] == 0)
 
 
-def test_what_is_known_to_be_clear_is_never_looked_at_or_occupied_on_a_finer_grid_neither():
+def test_cells_known_to_be_clear_stay_so_on_a_finer_grid():
     clear, requested = np.arange(64) % 3 == 0, []
     made = OccupancyGrid(4, clear=clear)
     assert np.array_equal(made.distances == 0, ~clear)

@@ -101,7 +101,7 @@ def test_a_shift_turns_and_scales_as_the_palette_color_does():
     np.testing.assert_allclose(shifted(colors, red, dim)[0], [0.25, 0.15, 0.15], atol=1e-6)
 
 
-def test_a_gray_palette_color_gives_its_places_the_new_hue_and_scales_their_light():
+def test_a_changed_gray_palette_color_gives_a_new_hue_and_scales_light():
     gray, new = torch.tensor([0.5, 0.5, 0.52]), torch.tensor([0.52, 0.13, 0.13])
     found = shifted(torch.tensor([[0.26, 0.26, 0.27]]), gray, new)
     np.testing.assert_allclose(found, [[0.27, 0.0675, 0.0675]], atol=1e-4)

@@ -71,7 +71,7 @@ def test_colors_and_gradients_equal_the_oracle():
         close(out[at] - 0.5, x.grad, 2e-5)
 
 
-def test_outside_the_cells_nothing_changes_to_the_bit_and_an_untaught_patch_changes_nothing():
+def test_outside_its_cells_and_untrained_a_region_color_keeps_all_bits():
     made, (s, at, basis, _, shown) = patch(), case()
     base = made.base.colors(s.shading_points(), basis, 2)
     found = made.colors(s.shading_points(), basis, 2)

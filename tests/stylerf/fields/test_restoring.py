@@ -41,7 +41,7 @@ def test_what_was_described_is_restored_to_the_bit():
 
 @pytest.mark.parametrize("name", ["density", "color", "displacement"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30])
-def test_a_number_that_cannot_have_been_learned_is_refused_by_the_name_of_its_array(name, value):
+def test_a_number_that_cannot_be_learned_is_refused_by_array_name(name, value):
     field = small.field_of(BOX, 1, displacement=small.displacement_grid(2))
     array = field.arrays()[name].copy()
     array.reshape(-1)[-1] = value
@@ -76,7 +76,7 @@ def test_distances_of_the_chessboard_are_believed_and_no_longer_ones():
     OccupancyGrid.restore(6, arrays | {"occupancy.distances": np.full(216, 255, np.uint8)})  # nothing is occupied
 
 
-def test_infinity_stands_for_cells_that_nobody_has_looked_at_and_nan_for_nothing():
+def test_infinity_marks_unvisited_cells_and_nan_is_refused():
     arrays = {"occupancy.highest": np.full(8, np.inf, np.float32), "occupancy.distances": np.zeros(8, np.uint8)}
     OccupancyGrid.restore(2, arrays)
     for value in (np.nan, -1.0):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, rotate, shift
 
-from stylerf.geometry.frame_choice import BLURRED, chosen_frames, positions
-from stylerf.geometry.frame_motion import motion_between, sharpness
+from stylerf.geometry.frame_choice import BLURRED, chosen_frames, motion_between, positions, sharpness
 
 
 def texture(seed=0, height=144, width=192) -> np.ndarray:

@@ -27,7 +27,7 @@ def test_cache_folder_moves_when_any_kernel_source_changes(monkeypatch, tmp_path
     assert package.kernel_cache_dir() != before
 
 
-def test_in_a_folder_that_the_user_names_too_and_once_where_a_child_inherits_it(monkeypatch, tmp_path):
+def test_a_folder_that_the_user_names_is_used_once_in_children_too(monkeypatch, tmp_path):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     folder = package.kernel_cache_dir()
     assert folder.parent == tmp_path
@@ -47,7 +47,7 @@ def test_unlike_processors_that_share_a_home_keep_their_kernels_apart(monkeypatc
     assert package.kernel_cache_dir() != here
 
 
-def test_without_a_folder_to_write_to_kernels_are_compiled_for_one_run_and_that_is_said(tmp_path):
+def test_without_a_writable_folder_kernels_serve_one_run_and_say_so(tmp_path):
     program = """
 import numpy as np, os
 from stylerf.fields.vm import VmDensity
@@ -157,7 +157,7 @@ def test_a_gpus_kernels_lie_beside_them_unless_the_user_says_where(tmp_path):
         assert "stylerf-kernels-" in folders(**more)[0]
 
 
-def test_a_kernel_just_compiled_and_the_same_from_the_cache_give_the_same_bits(tmp_path):
+def test_a_fresh_kernel_and_the_cached_one_give_the_same_bits(tmp_path):
     """With fast-math a quarter of the densities differed in the last bit; see docs/decisions/0007."""
     program = """
 import hashlib, numpy as np

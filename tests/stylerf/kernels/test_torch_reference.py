@@ -208,17 +208,17 @@ def test_a_slab_is_as_opaque_as_its_thickness_says_however_it_is_cut(pieces):
     np.testing.assert_allclose(gradient, cuts * math.exp(-sigma * length), rtol=1e-10)
 
 
-def test_rays_do_not_see_each_other_and_a_backdrop_takes_the_rest():
+def test_rays_do_not_see_each_other_and_a_background_takes_the_rest():
     rays = torch.tensor([0, 0, 2, 2, 2, 5])
     sigma = torch.tensor([1.0, 2, 0.5, 1e9, 3, 0], dtype=torch.float64)
-    optical = torch.tensor([0.1, 0.2, 1, 1, 1, 0], dtype=torch.float64)
-    backdrop = torch.tensor([0, 0, 0, 0, 0, 1], dtype=torch.bool)
-    w, _ = torch_reference.weights(sigma, optical, rays, backdrop)
+    lengths = torch.tensor([0.1, 0.2, 1, 1, 1, 0], dtype=torch.float64)
+    opaque = torch.tensor([0, 0, 0, 0, 0, 1], dtype=torch.bool)
+    w, _ = torch_reference.weights(sigma, lengths, rays, opaque)
     a, b = 1 - math.exp(-0.1), math.exp(-0.1) * (1 - math.exp(-0.4))
     half = 1 - math.exp(-0.5)
     torch.testing.assert_close(w, float64([a, b, half, 1 - half, 0, 1]), **TIGHT)
     closed, _ = torch_reference.weights(
-        sigma[:2], optical[:2] * torch.tensor([1, 0]), rays[:2], torch.tensor([False, True])
+        sigma[:2], lengths[:2] * torch.tensor([1, 0]), rays[:2], torch.tensor([False, True])
     )
     assert float(closed.sum()) == pytest.approx(1)
 

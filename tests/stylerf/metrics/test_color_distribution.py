@@ -6,8 +6,12 @@ from scipy.optimize import linear_sum_assignment
 from skimage.color import lab2rgb, rgb2lab
 
 from stylerf.errors import InvalidValue
-from stylerf.metrics.color_distribution import AXES, color_distance
+from stylerf.metrics.color_distribution import AXES, color_quantiles, distance_of_quantiles
 from stylerf.metrics.frechet import palette_distance
+
+
+def color_distance(a: np.ndarray, b: np.ndarray) -> float:
+    return distance_of_quantiles(color_quantiles(a), color_quantiles(b))
 
 
 def rgb_of(lab: np.ndarray) -> np.ndarray:

@@ -78,7 +78,7 @@ def test_the_backdrop_of_a_contraction_counts_to_the_cell_it_lies_in():
     space = SPACES["contraction"]
     assert isinstance(space, SpaceWarp)
     field = field_of(space, 1, hash_color(2))
-    field.density.values[-1] = -30  # nothing but the backdrop
+    field.density.values[-1] = -30  # nothing but the background
     seen = render_view(field, camera(), threads=1, regions={"all": np.ones((4, 4, 4), bool), "up": half(2, 4)})
     assert (seen.alpha > 0.99).all() and np.array_equal(seen.masks["all"], seen.alpha)
     assert 0 < (seen.masks["up"] > 0.5).sum() < seen.alpha.size

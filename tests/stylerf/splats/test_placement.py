@@ -6,8 +6,7 @@ import pytest
 from stylerf.errors import InvalidValue
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view
-from stylerf.splats.placement import on_surfaces, thinned
-from stylerf.splats.surface_points import SurfacePoints, picture_and_points
+from stylerf.splats.placement import SurfacePoints, on_surfaces, picture_and_points, thinned
 from stylerf.splats.views import views_to_learn
 from tests.stylerf.small import density, field_of, hash_color
 from tests.stylerf.splats.reference import camera

@@ -9,8 +9,9 @@ from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.procedural.still_life import StillLife, dome_cameras
-from stylerf.surfaces.field_surface import BEHIND, cell_size, field_surface, seen_part, within_reach
-from stylerf.surfaces.mesh import Mesh
+from stylerf.surfaces import field_surface as module
+from stylerf.surfaces.field_surface import BEHIND, cell_size, field_surface, isosurface, seen_part, within_reach
+from stylerf.surfaces.mesh import Mesh, without_small_pieces
 from stylerf.surfaces.vertex_colors import vertex_colors
 from stylerf.surfaces.visibility import DepthView
 from tests.stylerf.surfaces.fields import RADIUS, ball, solid
@@ -99,3 +100,44 @@ def test_a_mesh_beyond_reach_is_cut():
     space = SpaceWarp.box([-1] * 3, [1] * 3, near=0.05, far=1e3, kind="contraction")
     mesh = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 4.0, 0], [0, 0, 9]]), np.array([[0, 1, 2], [0, 1, 3]]))
     assert len(within_reach(mesh, space, 5.0).faces) == 1
+
+
+SIZE = np.array([33, 41, 37])
+
+
+def soft_ball(points: np.ndarray) -> np.ndarray:
+    return 1 / (1 + np.exp(40 * (np.linalg.norm(points - 0.5, axis=1) - 0.3)))
+
+
+@pytest.mark.parametrize("planes", [2, 5, 33])
+def test_a_ball_in_slabs_is_closed_and_faces_outward(monkeypatch, planes):
+    monkeypatch.setattr(module, "POINTS_AT_ONCE", planes * 41 * 37)
+    mesh = isosurface(soft_ball, SIZE, 0.5)
+    radii = np.linalg.norm(mesh.vertices - 0.5, axis=1)
+    np.testing.assert_allclose(radii, 0.3, atol=1e-3)
+    # Euler's characteristic of a sphere: every edge has two faces, so edges = 3/2 faces.
+    assert len(mesh.vertices) - len(mesh.faces) / 2 == 2
+    assert (mesh.crosses() * (mesh.vertices[mesh.faces].mean(1) - 0.5)).sum(1).min() >= 0
+    assert mesh.areas().sum() == pytest.approx(4 * np.pi * 0.09, rel=0.01)
+    np.testing.assert_allclose((mesh.normals() * (mesh.vertices - 0.5)).sum(1), 0.3, atol=0.005)
+
+
+def test_slabs_do_not_change_the_surface(monkeypatch):
+    whole = isosurface(soft_ball, SIZE, 0.3)
+    monkeypatch.setattr(module, "POINTS_AT_ONCE", 1)
+    parts = isosurface(soft_ball, SIZE, 0.3)
+    assert len(parts.faces) == len(whole.faces)
+    np.testing.assert_allclose(np.sort(parts.vertices, axis=0), np.sort(whole.vertices, axis=0), atol=1e-6)
+
+
+def test_nothing_dense_has_no_surface():
+    assert len(isosurface(lambda points: np.zeros(len(points), np.float32), SIZE, 0.5).faces) == 0
+
+
+def test_small_pieces_are_removed_with_their_vertices():
+    triangle = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    mesh = Mesh(np.concatenate([triangle * 0.01 + 5, triangle]), np.array([[0, 1, 2], [3, 4, 5]]))
+    kept = without_small_pieces(mesh, 1e-3)
+    np.testing.assert_array_equal(kept.vertices, triangle)
+    np.testing.assert_array_equal(kept.faces, [[0, 1, 2]])
+    assert len(without_small_pieces(mesh, 1e-5).faces) == 2

@@ -11,7 +11,7 @@ from stylerf.training.stylize.arf import CONTENT
 from tests.stylerf.training.stylizing import arf
 
 
-def test_parts_that_do_not_fit_are_halved_and_none_is_left_out_or_done_twice():
+def test_parts_that_do_not_fit_are_halved_and_each_is_done_once():
     tried = []
 
     def work(begin: int, end: int) -> np.ndarray:
@@ -43,7 +43,7 @@ def test_a_gpu_says_what_is_free_on_it(monkeypatch):
     assert free_on("cuda", 1.0) == 6e9 and free_on("cpu", 1.0) == 1.0
 
 
-def test_features_of_a_stylization_are_bounded_by_what_is_free_where_they_lie(monkeypatch):
+def test_features_of_a_stylization_take_half_the_memory_that_is_free(monkeypatch):
     monkeypatch.setattr("stylerf.training.stylize.arf.free_on", lambda device, otherwise: 100.0)
     made = arf({"memory": 1e9}).method.loss
     assert made.memory == 50 and made.windows[0] != EVERYTHING

@@ -97,7 +97,7 @@ def test_gradients_of_the_distortion_equal_those_of_its_double_sum(threads):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(threads):
+def test_distance_is_the_mean_of_samples_around_half_the_weight(threads):
     starts, ends, at, deltas, sigma, t, colors = samples()
     weights = np.full(len(sigma), np.nan, np.float32)
     weights[at] = reference(at, deltas, sigma, t, colors)[2].detach()
@@ -119,7 +119,7 @@ def test_distance_is_the_mean_of_the_samples_around_the_middle_of_the_weights(th
     assert found[1] == 0 and found[6] == 0 and found[3] == t[starts[3]]
 
 
-def test_the_background_and_what_is_behind_an_opaque_sample_teach_no_density():
+def test_background_and_samples_behind_opaque_ones_give_no_gradient():
     starts, ends, at, deltas, sigma, t, colors = samples()
     _, _, w, _ = reference(at, deltas, sigma, t, colors)
     weights = np.zeros_like(sigma)

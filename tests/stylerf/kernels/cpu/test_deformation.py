@@ -82,7 +82,7 @@ def test_one_sample_spreads_its_gradient_over_eight_vertices():
 
 
 @pytest.mark.parametrize("reach", [0.05, 0.3])
-def test_cells_are_occupied_where_any_of_27_points_is_moved_into_an_occupied_one(reach):
+def test_cells_are_occupied_if_any_of_27_points_moves_into_occupied_ones(reach):
     cells, moved = 7, displacement_grid(2, cells=4, reach=reach)
     full = np.random.default_rng(3).random(cells**3) < 0.03
     occupancy = OccupancyGrid(cells)

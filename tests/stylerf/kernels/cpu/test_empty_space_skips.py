@@ -115,7 +115,7 @@ def test_rays_along_a_side_of_a_box_skip_as_their_neighbors_do(axis, zero):
 
 
 def test_a_step_that_is_lost_in_a_far_cameras_distance_ends_the_ray():
-    """In float32 a thousandth cannot be added to a distance of 1e5, and beside an occupied cell that is a leap."""
+    """In float32 a thousandth cannot be added to a distance of 1e5, and beside an occupied cell a skip is no more."""
     space, cells = SPACES["box"], 24
     occupancy = OccupancyGrid(cells)
     occupancy.set_occupied(clumps(cells, 14))

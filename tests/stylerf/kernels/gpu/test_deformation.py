@@ -123,7 +123,7 @@ def learned(kind: str, device, rays: int = 14):
     from stylerf.fields.gpu.field import GpuField
 
     field = field_of(SPACES[kind], 3, CASES[kind](), 1 / 8, displacement_grid(6, reach=0.15))
-    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
+    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the background
     going = rays_into(SPACES[kind], rays, 4)
     cpu = render_rays(field, going, threads=1, weight_threshold=0.05)
     rendered = packed_on_device(cpu, going, device)
@@ -182,7 +182,7 @@ def spread(device, x, gradient, where=(0.5, 0.5, 0.5), deltas: float = 1.0) -> n
     return to.cpu().numpy().reshape(2, 2, 2, 3)
 
 
-def test_one_sample_spreads_its_gradient_over_eight_vertices_but_along_sides_that_hold_it(device):
+def test_a_sample_spreads_its_gradient_over_its_cells_vertices(device):
     whole = np.broadcast_to(np.float32([1, -2, 3]), (2, 2, 2, 3))
     np.testing.assert_allclose(spread(device, (0.6, 0.4, 0.5), (8, -16, 24)), whole, rtol=1e-5)
     for axis, side in ((0, 0.0), (1, 1.0), (2, 1.0)):

@@ -25,9 +25,9 @@ def trainer(device=None, style: bool = False, **more) -> EditTrainer:
     views = [view_of(number, side=24) for number in range(2)]
     views[0].transition[:100] = 0.5
     views[0].edges[50:90] = 0.7
-    painting, trunk = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
+    painting, extractor = (picture(40, 40, 9), small_trunk().to(device or "cpu")) if style else (None, None)
     engine = edit_engine(None if device is None else str(device))
-    return EditTrainer(views, start_module(views, settings, 0), settings, painting, trunk, 0, 1, engine)
+    return EditTrainer(views, start_module(views, settings, 0), settings, painting, extractor, 0, 1, engine)
 
 
 @pytest.mark.parametrize("removed", [(), (0, 1, 3)])
@@ -49,7 +49,7 @@ def test_a_module_answers_as_on_the_cpu(removed, device):
     assert there.weights(x[:0]).shape == (0, 4 - len(removed))
 
 
-def test_points_beyond_the_box_count_to_its_sides_and_the_table_learns_there_too(device):
+def test_points_beyond_the_box_count_to_its_sides_and_learn_there(device):
     from stylerf.editing.palette_module_gpu import GpuPaletteModule
 
     made, x = module(), np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.4, 0.45, 0.45]], np.float32)
@@ -117,7 +117,7 @@ def one_step(made: EditTrainer) -> EditTrainer:
     return made
 
 
-def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(device):
+def test_a_device_step_between_two_cpu_steps_equals_the_cpus(device):
     expected, begun = trainer(), one_step(trainer())
     for _ in range(3):
         one_step(expected)

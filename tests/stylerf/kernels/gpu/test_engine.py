@@ -265,7 +265,7 @@ def test_lack_of_memory_once_processes_have_summed_ends_the_run(bank, device, mo
         engine.learn(batch())
 
 
-def test_a_loop_is_reported_of_a_step_so_many_later_however_fast_the_device_is(bank, device, monkeypatch):
+def test_loss_is_reported_a_fixed_number_of_steps_late_at_any_speed(bank, device, monkeypatch):
     """What has come by chance would give the next batches another size in every run."""
     engine = engine_on(device, bank, thin_field())
     monkeypatch.setattr(

@@ -159,7 +159,7 @@ def one_step(made: FineTuner) -> FineTuner:
     return made
 
 
-def test_a_step_on_the_device_between_two_on_the_cpu_comes_to_what_the_cpu_does(bank, device):
+def test_a_device_step_between_two_cpu_steps_equals_the_cpus(bank, device):
     expected = tuner(bank)
     expected.run()
     between = after(tuner(bank, device), one_step(tuner(bank)))

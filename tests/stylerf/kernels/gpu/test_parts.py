@@ -12,7 +12,7 @@ from tests.stylerf.small import close, density, float64, hash_color, vm_color
 from tests.stylerf.training.scenes import box_bank
 
 
-def test_adam_steps_as_the_cpus_does_and_leaves_runs_without_gradient_alone(device):
+def test_adam_equals_the_cpus_and_skips_runs_without_gradient(device):
     from stylerf.training.common.adam_gpu import GpuAdam
 
     generator, n = np.random.default_rng(0), 1003
@@ -54,7 +54,7 @@ def test_a_gradient_of_nan_is_no_zero(device):
     assert made.values.isnan().tolist() == [k == 3 for k in range(16)]
 
 
-def test_a_skip_is_shortened_as_on_the_cpu_and_a_gradient_of_nan_is_no_step(device):
+def test_gradients_are_clipped_and_skipped_if_not_finite_as_on_the_cpu(device):
     from stylerf.training.common.adam_gpu import GpuAdam
 
     generator, n = np.random.default_rng(1), 300
@@ -140,7 +140,7 @@ def test_photos_are_brought_over_little_by_little_and_let_go_of_between(device, 
     assert len(lit) > 200 and np.array_equal(made.photos.lit.cpu(), lit) and made.photos.lit.dtype == torch.int32
 
 
-def test_a_batch_is_the_same_however_it_is_cut_and_another_for_another_seed(device):
+def test_a_batch_depends_on_the_seed_and_not_on_how_it_is_split(device):
     from stylerf.training.common.ray_dataset_gpu import GpuRayDataset
 
     made = GpuRayDataset(box_bank(4, 8), device)

@@ -50,7 +50,7 @@ def walked(case: str, device, rays: int = 14):
     kind, density_of, color, displaced = CASES[case]
     field = field_of(SPACES[kind], 3, color(), STEP, displacement_grid(6) if displaced else None)
     field.density = density_of(3)
-    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the backdrop
+    field.density.values[-1] = -4.5  # thin: rays go on long enough to end in the background
     made, going = GpuField(field, device), rays_into(SPACES[kind], rays, 4)
     rendered = made.render_rays(device_rays(going, device), weight_threshold=0.05)
     towards = np.random.default_rng(7).normal(size=(rays, 5)).astype(np.float32)
@@ -98,7 +98,7 @@ def test_the_device_walks_as_the_cpu_does(case, device):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_colors_equal_the_oracle_where_they_weigh_enough_and_are_left_out_elsewhere(case, device):
+def test_colors_equal_the_oracle_above_the_weight_threshold(case, device):
     field, rays, _, rendered, _, _ = walked(case, device)
     packed, color = Packed.of(on_host(rendered.samples)), field.color
     largest = rendered.samples.largest.cpu().double()[packed.rays]

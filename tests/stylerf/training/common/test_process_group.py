@@ -67,7 +67,7 @@ def test_a_budget_of_time_ends_for_all_at_the_same_step(together):
         ("no GPU here", "no GPU here", "^no GPU here$"),
     ],
 )
-def test_processes_with_unlike_devices_are_reported_so_before_they_wait_for_each_other(own, other, message):
+def test_processes_with_unlike_devices_are_refused_before_they_wait(own, other, message):
     ranks, store = DistributedProcesses.__new__(DistributedProcesses), distributed.HashStore()
     ranks._store, ranks.place, ranks.count = store, 0, 2
     store.set("stylerf device 1", other)
@@ -117,7 +117,7 @@ class Store(dict):
 
 
 @pytest.mark.parametrize(("place", "others", "awaited"), [(0, "none", 2), (0, "cpu", 2), (1, "none", 0)])
-def test_the_first_process_does_not_take_the_store_away_before_all_have_read_it(place, others, awaited):
+def test_the_first_process_keeps_the_store_until_all_have_read_it(place, others, awaited):
     """Else the others find it lost, and end as if the first had crashed."""
     one = DistributedProcesses.__new__(DistributedProcesses)
     one.place, one.count = place, 2

@@ -124,7 +124,7 @@ def test_an_anchored_scene_that_is_pulled_as_a_whole_stays_where_it_is(scene):
     assert moved[False] > 0.035 and moved[True] < 0.2 * moved[False]  # not 0: a hyperbolic tangent bounds D
 
 
-def test_an_anchored_scene_bends_and_keeps_its_hidden_layers_and_its_place(scene):
+def test_an_anchored_scene_bends_and_keeps_hidden_layers_in_place(scene):
     """Its halves are pulled apart, and both along x, which would slide it."""
     deformer = Deformer(scene(), deformation(), dome(4, 1), 8, 0, 1, anchored=True)
     before, hidden = deformer.values(), len(deformer.deformation.values) - deformer.deformation.last
@@ -162,7 +162,7 @@ def test_init_finds_a_shift_between_field_and_photos(scene):
     assert fitter.quality() == pytest.approx(fitter.state.best, abs=1e-3)
 
 
-def test_init_that_gains_nothing_stops_early_and_ends_no_worse_than_it_began(scene):
+def test_init_that_gains_nothing_stops_early_and_ends_no_worse(scene):
     settings = DeformSettings(steps=1000, rays=64, vertices=6, patience=10.0)
     fitter = DeformationFitter(scene(), deformation(), box_bank(), settings, 0, 2)
     fitter.run()

@@ -22,8 +22,8 @@ SMALL = EditSettings(
 def trainer(count: int = 3, style: bool = False, seed: int = 0, threads: int = 2, views=None, **more) -> EditTrainer:
     settings = replace(SMALL, **more)
     views = [view_of(number) for number in range(count)] if views is None else views
-    painting, trunk = (picture(40, 40, 9), small_trunk()) if style else (None, None)
-    return EditTrainer(views, start_module(views, settings, seed), settings, painting, trunk, seed, threads)
+    painting, extractor = (picture(40, 40, 9), small_trunk()) if style else (None, None)
+    return EditTrainer(views, start_module(views, settings, seed), settings, painting, extractor, seed, threads)
 
 
 def hue_distance(color: np.ndarray, plain: np.ndarray) -> float:
@@ -77,7 +77,7 @@ def test_every_view_has_its_turn_once_an_epoch():
     made, seen = trainer(count=5), []
     for step in range(15):
         made.state.step = step
-        seen.append(made._view_of_step(0))
+        seen.append(made.view_of_step(0))
     assert [sorted(seen[at : at + 5]) for at in (0, 5, 10)] == [list(range(5))] * 3
     assert seen[:5] != seen[5:10]
 

@@ -70,7 +70,7 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing():
     assert all(np.array_equal(array, before[name]) for name, array in made.field.arrays().items())
 
 
-def test_light_that_passes_a_surface_of_a_capture_is_no_error_of_its_depth():
+def test_light_through_a_surface_of_a_capture_is_no_depth_error():
     bank = masked_wall(0)[1]
     pixels, depth = np.arange(200, 300), np.full(100, 3.1, np.float32)
     edited = EditedPixels(np.zeros(100, np.int64), pixels, depth, (pixels[:0], pixels[:0]))

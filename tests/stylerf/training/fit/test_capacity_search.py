@@ -54,7 +54,7 @@ def test_nor_when_the_held_out_views_are_about_to_be_trained_on():
     assert search_at(step=1200).pruning_due(0.66) == "density ranks"
 
 
-def test_a_pruning_that_loses_little_stays_and_one_that_loses_more_is_refused_for_good():
+def test_a_pruning_stays_if_it_loses_little_and_is_else_refused_for_good():
     search = search_at(min_gain=0.1)
     assert tried(search, 0.56, 29.95) == ("density ranks", True)
     assert (search.level.density_rank, search.level.color_rank, search.level.resolution) == (8, 24, 256)
@@ -126,7 +126,7 @@ def test_small_losses_do_not_add_up():
     assert search.level.resolution == 192
 
 
-def test_views_met_within_rounding_lose_nothing_by_falling_less_far_beyond_it():
+def test_a_fall_to_a_view_still_met_within_rounding_is_no_loss():
     search = search_at(min_gain=0.1)
     search.begin("resolution", 60.0, 1000, 0.56)
     assert search.judge(52.0, 500)[0]

@@ -129,8 +129,8 @@ def test_kernels_of_a_lower_degree_are_compiled_before_it_is_taught():
 
     fitter.engine.warm_up = watched
     fitter.warm_up()
-    fitter._warm_up([replace(LEVELS[-1], degree=0)])
-    fitter._warm_up([replace(LEVELS[-1], degree=1)])
+    fitter.warm_up_levels([replace(LEVELS[-1], degree=0)])
+    fitter.warm_up_levels([replace(LEVELS[-1], degree=1)])
     assert seen[0] == [1] and seen[1:] == [[0]]
 
 
@@ -185,7 +185,7 @@ def spoil(fitter: Fitter, step: int, shift: float):
     return on_step
 
 
-def test_held_out_views_that_fall_by_more_than_two_db_bring_back_the_best_field():
+def test_a_fall_of_held_out_views_by_two_db_restores_the_best_field():
     fitter, anchor = box_fitter(200), {}
     damage = spoil(fitter, 90, -9.0)
 
@@ -242,7 +242,7 @@ def test_quality_that_is_no_number_counts_as_a_fall(monkeypatch):
     assert all(np.isfinite(value) for value in fitter.state.quality.values())
 
 
-def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_return_to():
+def test_the_fifth_rollback_is_a_divergence_or_the_first_without_a_state():
     fitter = box_fitter(60)
     poison(fitter, range(20, 60))
     with pytest.raises(Diverged, match="5 times"):
@@ -254,7 +254,7 @@ def test_the_fifth_return_is_a_divergence_and_the_first_where_nothing_is_to_retu
         fresh.run()
 
 
-def test_past_half_of_its_budget_a_fit_that_falls_apart_ends_with_its_best_field():
+def test_a_fit_that_diverges_past_half_its_budget_ends_with_its_best():
     fitter, anchor = box_fitter(60), {}
     poison(fitter, range(40, 60))
 

@@ -64,7 +64,7 @@ def test_a_long_budget_leaves_a_coarse_level_after_its_longest():
 def test_growing_holds_the_same_picture():
     fitter = run_until(box_fitter(300), 60)
     before = fitter.held_out_psnr()
-    fitter._resize(LEVELS[2])
+    fitter.resize(LEVELS[2])
     assert fitter.field.density.size.max() == 16 and fitter.field.occupancy.cells == 16 and fitter.field.step == 1 / 16
     fitter.field.step = 1 / 8
     assert fitter.held_out_psnr() == pytest.approx(before, abs=0.3)  # sixteen vertices do not hold eight exactly
@@ -91,11 +91,11 @@ def test_nothing_is_tried_without_the_steps_to_judge_it(steps):
     assert len(set(sizes_by_step(steps, min_gain=0.0).values())) == 1
 
 
-def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
+def test_held_out_views_are_trained_on_once_nothing_is_left_to_decide():
     requested, seen = box_fitter(400, force_growth=True, level_ends=(0.25, 0.5)), {}
 
     def on_step(now_: Fitter) -> None:
-        seen.setdefault((now_._judging, now_.state.level), now_.progress)
+        seen.setdefault((now_.judging, now_.state.level), now_.progress)
 
     requested.run(on_step)
     # What was asked for stays from the first look on.
@@ -109,7 +109,7 @@ def test_held_out_views_are_trained_on_as_soon_as_nothing_is_left_to_decide():
     assert all(point["held_out"] for point in never.state.curve[:-1])
 
 
-def test_where_no_view_is_held_out_decisions_are_reported_as_of_training_views():
+def test_without_held_out_views_decisions_name_the_training_views():
     fitter = box_fitter(300, held_out=0, min_gain=-9.0)
     fitter.run()
     assert fitter.state.decisions and all("training views gained" in d for d in fitter.state.decisions[:1])
@@ -122,7 +122,7 @@ def test_a_capacity_that_was_requested_is_reached_whatever_it_gains():
 
 
 @pytest.mark.parametrize("steps", [60, 250])
-def test_a_short_fit_shares_its_steps_among_the_levels_to_what_was_requested(steps):
+def test_a_short_fit_shares_its_steps_among_levels_up_to_the_requested(steps):
     fitter, level_gain = box_fitter(steps, force_growth=True), {}
     fitter.run(lambda now_: level_gain.setdefault(now_.state.level, now_.state.step))
     assert level_gain == {0: 1, 1: math.ceil(steps / 3), 2: math.ceil(2 * steps / 3)}

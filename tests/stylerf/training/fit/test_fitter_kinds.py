@@ -54,7 +54,7 @@ def test_it_learns_and_grows_and_goes_on_as_if_never_stopped(kinds):
 def test_growing_holds_the_same_picture(kinds):
     fitter = run_until(fitter_of(kinds), 100)
     step, before = fitter.field.step, fitter.held_out_psnr()
-    fitter._resize(LEVELS[1])
+    fitter.resize(LEVELS[1])
     assert fitter.field.step == step / 2
     fitter.field.step = step
     # Sixteen vertices do not hold eight exactly; hash levels do.

@@ -48,7 +48,7 @@ def seen(fitter) -> np.ndarray:
     return np.clip(render_rays(fitter.field, rays, threads=1).out[:, 3], 0, 1)
 
 
-def test_the_gradient_of_coverage_is_what_random_backgrounds_teach_on_average():
+def test_coverage_has_the_mean_gradient_of_random_backgrounds():
     generator = np.random.default_rng(0)
     alpha, wanted = generator.random((2, 9)).astype(np.float32)
     backgrounds = generator.random(400_000)

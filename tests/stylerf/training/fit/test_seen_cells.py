@@ -37,7 +37,7 @@ def test_cells_are_marked_where_samples_weigh_enough(threads):
     assert marked[-1] and marked[0] and 0 < marked.sum() < cells**3
 
 
-def test_what_is_not_seen_for_long_is_empty_but_not_what_touches_a_seen_cell():
+def test_cells_unseen_for_long_are_empty_unless_they_touch_a_seen_one():
     seen = SeenCells(6)
     seen.update(0.6 * PATIENCE)
     assert not seen.unseen().any()

@@ -53,7 +53,7 @@ def test_threads_do_not_change_what_is_found(seen):
     assert np.array_equal(*(clear_cells(*seen, AROUND, CELLS, 0.05, threads) for threads in (1, 5)))
 
 
-def test_a_mask_that_is_lost_clears_nothing_and_one_that_is_dirty_hides_nothing(seen):
+def test_a_lost_mask_clears_nothing_and_a_dirty_one_hides_nothing(seen):
     cameras, alphas = seen
     sound = clear_cells(cameras, alphas, AROUND, CELLS, 0.05, 1)
     lost = [np.zeros_like(alphas[0]), *alphas[1:]]
@@ -89,7 +89,7 @@ def test_a_fit_never_looks_there_while_it_grows_and_resumes():
     assert clear.mean() > 0.5 and occupied.any() and not (occupied & clear).any()
 
 
-def test_a_fit_that_is_not_requested_to_or_has_no_transparency_looks_everywhere():
+def test_without_the_option_or_transparency_a_fit_searches_everywhere():
     assert box_fitter(10, bank=ball_bank()).field.occupancy.clear is None
     cameras = dome(12, 1, 24)
     opaque = RayDataset(cameras, [ball_photo(camera)[..., :3].copy() for camera in cameras])

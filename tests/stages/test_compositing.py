@@ -10,9 +10,7 @@ from scipy.ndimage import map_coordinates
 from schemas.errors import BadInput
 from schemas.images import write_png
 from stages.artifacts.scene import SceneData, load_scene
-from stages.compositing.deep_frames import deep_samples
-from stages.compositing.exr_views import exr_view
-from stages.compositing.plates import map_files, plate_camera, write_st_maps
+from stages.compositing import deep_samples, exr_view, map_files, plate_camera, write_st_maps
 from stages.configs.render import RenderConfig
 from stages.render import shots_of
 from stylerf.fields.radiance_field import ColorMap

@@ -1,1 +1,0 @@
-"""What `render` writes for compositing programs beyond plain frames."""
