@@ -98,7 +98,7 @@ def distances(made, held_out, level) -> dict[str, float]:
     import torch
 
     from stylerf.rendering.view import render_view
-    from stylerf.style.style_objective import StyleObjective
+    from stylerf.style.style_loss import StyleObjective
 
     styled, s = made.scene, made.settings
     size, style_image = (styled.cameras[0].height, styled.cameras[0].width), styled.problem.style_image

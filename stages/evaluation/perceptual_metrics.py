@@ -27,7 +27,7 @@ from stylerf.metrics.speckle import speckle
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, fitted
 from stylerf.style.feature_matching import StyleRows, style_rows
 from stylerf.style.style_features import style_features
-from stylerf.style.style_objective import gram_matrix, nearest_neighbor_distance, position_weights
+from stylerf.style.style_loss import gram_matrix, nearest_neighbor_distance, position_weights
 
 LAYERS = "conv3"  # conv3_1 to conv3_3 concatenated, as in ARF
 

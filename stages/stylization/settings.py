@@ -18,7 +18,7 @@ from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.settings import (
     ArfSettings,
     DesrfSettings,

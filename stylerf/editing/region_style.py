@@ -11,7 +11,7 @@ from stylerf.editing.extraction import EditView
 from stylerf.errors import InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor, fitted
 from stylerf.style.style_features import stroke_picture
-from stylerf.style.style_objective import gram_distance, gram_matrix, position_weights
+from stylerf.style.style_loss import gram_distance, gram_matrix, position_weights
 from stylerf.style.transparency import shown_positions
 
 

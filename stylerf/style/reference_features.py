@@ -17,7 +17,7 @@ from torch import Tensor
 
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, features
 from stylerf.style.feature_matching import StyleRows, nearest, rows_of, sample, unit_rows
-from stylerf.style.style_objective import (
+from stylerf.style.style_loss import (
     EVERYTHING,
     FeatureLoss,
     StyleWeights,

@@ -17,7 +17,7 @@ from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageLoss
-from stylerf.style.style_objective import (
+from stylerf.style.style_loss import (
     EVERYTHING,
     Content,
     GramObjective,

@@ -10,7 +10,7 @@ from stylerf.errors import InvalidValue
 from stylerf.style.color_matching import in_brightness_of, in_colors_of, match_colors, spread_at_most
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageOptimization
-from stylerf.style.style_objective import Content, StyleObjective
+from stylerf.style.style_loss import Content, StyleObjective
 from stylerf.training.stylize.arf import OBJECTIVES
 from stylerf.training.stylize.settings import ImageStyleSettings
 from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over

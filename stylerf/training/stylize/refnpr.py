@@ -22,7 +22,7 @@ from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.feature_matching import StyleRows
 from stylerf.style.image_stylization import ImageLoss, ImageOptimization
 from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective, Wanted
-from stylerf.style.style_objective import VARIATIONS
+from stylerf.style.style_loss import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import ViewLoss, ViewStep
 from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match

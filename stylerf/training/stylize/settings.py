@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 
 RATES = ("rate", "refit_rate", "deform_rate", "image_rate")
 
@@ -58,7 +58,7 @@ class ImageStyleSettings(StyleSettings):
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
         style_scale, style_rows, style_basis, variation, diversity, stroke, rotations: See
-            style/style_objective.StyleObjective.
+            style/style_loss.StyleObjective.
         keep_colors: Give the style image the photos' colors, instead of the photos the style image's.
     """
 

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 
 from stylerf.style.reference_features import UNRELATED, ReferenceFeatures, ReferenceObjective
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 HEIGHT, WIDTH = 24, 32

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.style import style_features as module
 from stylerf.style.style_features import mirrored, stroke_picture, style_features
-from stylerf.style.style_objective import StyleWeights, TransportObjective
+from stylerf.style.style_loss import StyleWeights, TransportObjective
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
 

@@ -8,7 +8,7 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.arf import Arf
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
 from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, StyleSettings

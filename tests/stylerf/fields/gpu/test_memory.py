@@ -6,7 +6,7 @@ import torch
 
 from stylerf.fields.gpu import memory
 from stylerf.fields.gpu.memory import FEWEST, free_on, in_parts
-from stylerf.style.style_objective import EVERYTHING
+from stylerf.style.style_loss import EVERYTHING
 from stylerf.training.stylize.arf import CONTENT
 from tests.stylerf.training.stylizing import arf
 

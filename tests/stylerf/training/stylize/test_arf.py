@@ -12,8 +12,8 @@ from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
-from stylerf.style import style_objective
-from stylerf.style.style_objective import StyleObjective, StyleWeights
+from stylerf.style import style_loss
+from stylerf.style.style_loss import StyleObjective, StyleWeights
 from stylerf.training.stylize import arf as module
 from stylerf.training.stylize import geometry
 from stylerf.training.stylize.arf import Arf
@@ -192,7 +192,7 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
 @pytest.mark.parametrize("deform", [False, True])
 @pytest.mark.parametrize(("strategy", "loss"), [("deferred", "nnfm"), ("dilated", "nnfm"), ("deferred", "transport")])
 def test_a_stylization_that_was_stopped_goes_on_to_the_same_bits(strategy, loss, deform, monkeypatch):
-    monkeypatch.setattr(style_objective, "POSITIONS", 40)  # transport draws new ones in each step
+    monkeypatch.setattr(style_loss, "POSITIONS", 40)  # transport draws new ones in each step
     given = {"strategy": strategy, "loss": loss, "deform": deform, "detail_rate": 0.1}
     whole = stylizer(**given)
     whole.run()

@@ -8,7 +8,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.metrics.frechet import palette_distance
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.arf import OBJECTIVES
 from stylerf.training.stylize.painted_photo import painted_photo
 from stylerf.training.stylize.settings import ImageStyleSettings

@@ -9,7 +9,7 @@ import torch
 from stylerf.errors import InvalidValue
 from stylerf.rendering.ray_registration import points_of
 from stylerf.rendering.view import render_view
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.refnpr import LATE_WEIGHT, RefNpr
 from stylerf.training.stylize.scene import StyledScene
 from stylerf.training.stylize.settings import RefNprSettings

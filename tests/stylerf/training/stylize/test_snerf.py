@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylerf.style.image_stylization import painted
-from stylerf.style.style_objective import StyleWeights
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.settings import SnerfSettings
 from stylerf.training.stylize.snerf import Snerf
 from stylerf.training.stylize.trainer import StylizationTrainer

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from stylerf.errors import InvalidValue
-from stylerf.style import style_objective
+from stylerf.style import style_loss
 from stylerf.style.feature_extractor import by_block, resized, style_picture
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
-from stylerf.style.style_objective import (
+from stylerf.style.style_loss import (
     CELLS,
     EVERYTHING,
     GramObjective,
@@ -26,7 +26,7 @@ def features(shape: tuple[int, ...], seed: int) -> torch.Tensor:
 
 def test_nearest_neighbor_distance_equals_a_double_loop():
     content, style = features((4, 3, 5), 0), features((4, 6, 2), 1)
-    distances, matches = style_objective.nearest_neighbor_distance(content, style_rows(style))
+    distances, matches = style_loss.nearest_neighbor_distance(content, style_rows(style))
     expected = []
     for i in range(3):
         for j in range(5):
@@ -43,15 +43,15 @@ def test_its_gradient_and_that_of_other_losses():
     style = style_rows(features((4, 6, 2), 1))
     content = features((4, 3, 5), 0).requires_grad_()
     weights = features((3, 5), 2).round()
-    gram = style_objective.gram_matrix(features((4, 6, 2), 1))
+    gram = style_loss.gram_matrix(features((4, 6, 2), 1))
     reference = features((4, 3, 5), 3)
     checked = {
-        "nnfm": lambda x: style_objective.nearest_neighbor_distance(x, style)[0],
-        "weighted": lambda x: style_objective.nearest_neighbor_distance(x, style, weights)[0],
-        "content": lambda x: style_objective.content_distance(x, reference),
-        "gram": lambda x: style_objective.gram_distance(x, gram, weights),
-        "variation": style_objective.image_variation,
-        "diagonal": style_objective.diagonal_variation,
+        "nnfm": lambda x: style_loss.nearest_neighbor_distance(x, style)[0],
+        "weighted": lambda x: style_loss.nearest_neighbor_distance(x, style, weights)[0],
+        "content": lambda x: style_loss.content_distance(x, reference),
+        "gram": lambda x: style_loss.gram_distance(x, gram, weights),
+        "variation": style_loss.image_variation,
+        "diagonal": style_loss.diagonal_variation,
     }
     for name, loss in checked.items():
         assert torch.autograd.gradcheck(loss, (content,)), name
@@ -60,8 +60,8 @@ def test_its_gradient_and_that_of_other_losses():
 def test_gradients_are_finite_at_zero():
     flat = torch.zeros(3, 4, 4, dtype=torch.float64, requires_grad=True)
     style = StyleRows(unit_rows(torch.ones(2, 3, dtype=torch.float64)))
-    distances, _ = style_objective.nearest_neighbor_distance(flat, style)
-    total = distances.sum() + style_objective.diagonal_variation(flat).sum() + style_objective.image_variation(flat)
+    distances, _ = style_loss.nearest_neighbor_distance(flat, style)
+    total = distances.sum() + style_loss.diagonal_variation(flat).sum() + style_loss.image_variation(flat)
     (gradient,) = torch.autograd.grad(total, flat)
     assert float(distances.detach().min()) == 1 and torch.isfinite(gradient).all()
 
@@ -75,29 +75,29 @@ def test_a_transparent_background_takes_no_part():
     altered = content.clone()
     altered[:, :, 3:] = 7.0
     content.requires_grad_()
-    distances, matches = style_objective.nearest_neighbor_distance(content, style, weights)
+    distances, matches = style_loss.nearest_neighbor_distance(content, style, weights)
     assert distances.shape == matches.shape == (9,)
-    assert torch.equal(distances, style_objective.nearest_neighbor_distance(altered, style, weights)[0])
+    assert torch.equal(distances, style_loss.nearest_neighbor_distance(altered, style, weights)[0])
     (gradient,) = torch.autograd.grad(distances.sum(), content)
     assert float(gradient[:, :, 3:].abs().max()) == 0 and float(gradient[:, :, :3].abs().min()) > 0
-    plain, _ = style_objective.nearest_neighbor_distance(content[:, :, :3], style)
+    plain, _ = style_loss.nearest_neighbor_distance(content[:, :, :3], style)
     expected = plain * weights[:, :3].flatten()
     torch.testing.assert_close(distances, expected)
 
 
 def test_given_matches_are_used_instead_of_a_search():
     style, content = style_rows(features((4, 6, 2), 1)), features((4, 3, 5), 0)
-    distances, found = style_objective.nearest_neighbor_distance(content, style)
-    again, same = style_objective.nearest_neighbor_distance(content, style, matches=found)
+    distances, found = style_loss.nearest_neighbor_distance(content, style)
+    again, same = style_loss.nearest_neighbor_distance(content, style, matches=found)
     assert torch.equal(distances, again) and torch.equal(found, same)
-    worse, _ = style_objective.nearest_neighbor_distance(content, style, matches=(found + 1) % 12)
+    worse, _ = style_loss.nearest_neighbor_distance(content, style, matches=(found + 1) % 12)
     assert float(worse.sum()) > float(distances.sum())
 
 
 def test_position_weights_reach_beside_the_object():
     alpha = torch.zeros(8, 12)
     alpha[2:4, 4:6] = 1  # one position of the 4 x 6 features
-    found = style_objective.position_weights(alpha, torch.zeros(5, 4, 6), around=1)
+    found = style_loss.position_weights(alpha, torch.zeros(5, 4, 6), around=1)
     expected = torch.zeros(4, 6)
     expected[0:3, 1:4] = 1
     torch.testing.assert_close(found, expected)
@@ -107,7 +107,7 @@ def test_position_weights_average_the_pixels_they_stand_for():
     alpha = torch.zeros(8, 12)
     alpha[:, 6:] = 1
     alpha[0, 0] = 1
-    found = style_objective.position_weights(alpha, torch.zeros(5, 2, 3))
+    found = style_loss.position_weights(alpha, torch.zeros(5, 2, 3))
     assert found.tolist() == [[1 / 16, 0.5, 1], [0, 0.5, 1]]
 
 
@@ -123,23 +123,23 @@ def test_gram_matrix_equals_a_loop_and_ignores_positions_of_no_weight():
     for a in range(3):
         for b in range(3):
             expected[a, b] = sum(float(values[a, i, j] * values[b, i, j]) for i in range(2) for j in range(4)) / 24
-    np.testing.assert_allclose(style_objective.gram_matrix(values).numpy(), expected, rtol=1e-12)
+    np.testing.assert_allclose(style_loss.gram_matrix(values).numpy(), expected, rtol=1e-12)
     weights = torch.tensor([[1.0, 1, 0, 0], [1, 1, 0, 0]], dtype=torch.float64)
     torch.testing.assert_close(
-        style_objective.gram_matrix(values, weights), style_objective.gram_matrix(values[:, :, :2])
+        style_loss.gram_matrix(values, weights), style_loss.gram_matrix(values[:, :, :2])
     )
     with pytest.raises(InvalidValue):
-        style_objective.gram_matrix(values, weights * 0)
+        style_loss.gram_matrix(values, weights * 0)
 
 
 def test_variations_by_hand():
     image = torch.zeros(3, 2, 3)
     image[0] = torch.tensor([[0.0, 1, 1], [0, 0, 3]])
     # channel 0: dx = 1, 0 / 0, 3 ; dy = 0, -1, 2 ; means over 3*2*2 and 3*1*3 entries
-    assert float(style_objective.image_variation(image)) == pytest.approx(((1 + 9) / 12 + (1 + 4) / 9) / 2)
+    assert float(style_loss.image_variation(image)) == pytest.approx(((1 + 9) / 12 + (1 + 4) / 9) / 2)
     expected = torch.tensor([[1.0, 1, 2], [0, 3, 0]])  # |dx + dy| per pixel, 0 past the border
-    assert torch.equal(style_objective.diagonal_variation(image), expected)
-    assert float(style_objective.content_distance(image, torch.zeros(3, 2, 3))[1, 2]) == 3
+    assert torch.equal(style_loss.diagonal_variation(image), expected)
+    assert float(style_loss.content_distance(image, torch.zeros(3, 2, 3))[1, 2]) == 3
 
 
 HEIGHT, WIDTH = 20, 44
@@ -373,7 +373,7 @@ def test_transport_is_small_for_the_style_image_and_ignores_what_has_no_weight(m
 
 
 def test_transport_draws_other_positions_in_each_step(monkeypatch):
-    monkeypatch.setattr(style_objective, "POSITIONS", 20)
+    monkeypatch.setattr(style_loss, "POSITIONS", 20)
     made = TransportObjective(small_trunk("conv2"), picture(30, 40, 1), (HEIGHT, WIDTH), StyleWeights(1, 0, 0, 0))
     image, found = picture(HEIGHT, WIDTH, 2), []
     for made.draw in (1, 2, 1):
@@ -383,27 +383,27 @@ def test_transport_draws_other_positions_in_each_step(monkeypatch):
 
 def test_missing_edges_are_those_of_the_photo_that_an_image_lacks():
     ramp = torch.linspace(0, 0.9, 32).expand(3, 24, 32)
-    wanted = style_objective.luma_gradient(ramp)
+    wanted = style_loss.luma_gradient(ramp)
     step = 4 * 0.9 / 31  # of luma from cell to cell, in 7 of 8 columns
-    assert float(style_objective.missing_edges(torch.zeros(3, 24, 32), wanted)) == pytest.approx(step * 7 / 8, rel=1e-3)
-    assert float(style_objective.missing_edges(ramp, wanted)) == pytest.approx(0, abs=1e-6)
+    assert float(style_loss.missing_edges(torch.zeros(3, 24, 32), wanted)) == pytest.approx(step * 7 / 8, rel=1e-3)
+    assert float(style_loss.missing_edges(ramp, wanted)) == pytest.approx(0, abs=1e-6)
     down = torch.linspace(0, 0.5, 24)[:, None].expand(3, 24, 32)
-    assert float(style_objective.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
-    turned = float(style_objective.missing_edges(ramp.flip(2), wanted))
+    assert float(style_loss.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
+    turned = float(style_loss.missing_edges(ramp.flip(2), wanted))
     assert turned == pytest.approx(2 * step * 7 / 8, rel=1e-3)
     grain = 0.05 * torch.randn(3, 24, 32, generator=torch.Generator().manual_seed(0))
-    assert float(style_objective.missing_edges(grain, wanted)) > 0.9 * step * 7 / 8  # grain makes no edges
+    assert float(style_loss.missing_edges(grain, wanted)) > 0.9 * step * 7 / 8  # grain makes no edges
     left = torch.zeros(24, 32)
     left[:, :16] = 1
     half = torch.cat([ramp[:, :, :20], torch.zeros(3, 24, 12)], dim=2)
-    assert float(style_objective.missing_edges(half, wanted, left)) == pytest.approx(0, abs=1e-6)
+    assert float(style_loss.missing_edges(half, wanted, left)) == pytest.approx(0, abs=1e-6)
 
 
 def test_structure_is_part_of_the_loss_where_it_has_a_weight():
     image, photo = picture(HEIGHT, WIDTH, 2), picture(HEIGHT, WIDTH, 3)
     made = objective(StyleWeights(0, 0, 0, 0, 2.0))
     loss, parts = made(image, made.content_of(photo))
-    expected = float(style_objective.missing_edges(image, style_objective.luma_gradient(photo)))
+    expected = float(style_loss.missing_edges(image, style_loss.luma_gradient(photo)))
     assert float(loss) == pytest.approx(2 * expected, rel=1e-2) and parts["structure"] > 0
     assert objective(StyleWeights(1, 0, 0, 0, 0)).weights.need_photo is False
 
