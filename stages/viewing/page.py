@@ -73,9 +73,7 @@ class Page:
 
     # -- for the panels ------------------------------------------------------------------------------------------------
 
-    def act(
-        self, action: Callable[..., object], then: Callable[[], object] = lambda: None
-    ) -> Callable[[Any], None]:
+    def act(self, action: Callable[..., object], then: Callable[[], object] = lambda: None) -> Callable[[Any], None]:
         """Return a callback that does `action` with the event, `then` whatever comes of it, and tells of errors."""
 
         def do(event: Any) -> None:
@@ -123,7 +121,7 @@ class Page:
 
     def changed(self) -> None:
         """Bring lists and progress up to date."""
-        run = self.desk.run
+        run = self.desk.runs.present
         if run is None:
             self.status.content = ""
         else:
@@ -163,8 +161,8 @@ class Page:
                 settled.set()
                 desk.painter.move(page, self.pose_of(client))
 
-        desk.refresh()
-        desk.prepare()
+        desk.display.refresh()
+        desk.preparation.start()
         timer = threading.Timer(SETTLED_SECONDS, settle)
         timer.daemon = True
         timer.start()

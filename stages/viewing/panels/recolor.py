@@ -7,8 +7,8 @@ NONE = "(none)"
 
 def add(page: Any) -> None:
     """Add the panel's controls."""
-    gui, desk = page.gui, page.desk
-    palette = gui.add_dropdown("Palette", [NONE, *desk.palettes()], initial_value=NONE)
+    gui, recolorer, runs = page.gui, page.desk.recolorer, page.desk.runs
+    palette = gui.add_dropdown("Palette", [NONE, *recolorer.palettes()], initial_value=NONE)
     learn = gui.add_button("Learn a palette of the scene")
     place = gui.add_folder("Colors")
     reset = gui.add_button("Reset")
@@ -18,10 +18,10 @@ def add(page: Any) -> None:
     controls: list[Any] = []
 
     def tell() -> None:
-        page.show_command(shown, lambda: desk.recolor_command(name.value))
+        page.show_command(shown, lambda: recolorer.command(name.value))
 
     def listing() -> None:
-        now = [NONE, *desk.palettes()]
+        now = [NONE, *recolorer.palettes()]
         if tuple(palette.options) != tuple(now):
             palette.options = now
         tell()
@@ -30,7 +30,7 @@ def add(page: Any) -> None:
         for one in controls:
             one.remove()
         controls.clear()
-        for swatch in desk.open_palette("" if palette.value == NONE else palette.value):
+        for swatch in recolorer.open("" if palette.value == NONE else palette.value):
             _color(swatch)
         page.changed()
 
@@ -41,16 +41,16 @@ def add(page: Any) -> None:
             weight = gui.add_slider("weight", 0.0, 4.0, 0.05, 1.0)
             bias = gui.add_slider("bias", -0.5, 0.5, 0.02, 0.0)
         controls.extend((color, weight, bias))
-        color.on_update(page.act(lambda event: desk.recolor(index, color=_text(color.value)), tell))
-        weight.on_update(page.act(lambda event: desk.recolor(index, weight=float(weight.value)), tell))
-        bias.on_update(page.act(lambda event: desk.recolor(index, bias=float(bias.value)), tell))
+        color.on_update(page.act(lambda event: recolorer.change(index, color=_text(color.value)), tell))
+        weight.on_update(page.act(lambda event: recolorer.change(index, weight=float(weight.value)), tell))
+        bias.on_update(page.act(lambda event: recolorer.change(index, bias=float(bias.value)), tell))
 
     page.rest.append(listing)
     palette.on_update(page.act(opened))
     reset.on_click(page.act(opened))
     name.on_update(lambda event: tell())
-    learn.on_click(page.act(lambda event: desk.start(desk.decompose_command())))
-    keep.on_click(page.act(lambda event: desk.start(desk.recolor_command(name.value))))
+    learn.on_click(page.act(lambda event: runs.start(recolorer.decompose_command())))
+    keep.on_click(page.act(lambda event: runs.start(recolorer.command(name.value))))
     tell()
 
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from stages.viewing.desk import EDIT_MARK
+from stages.viewing.recolorer import EDIT_MARK
 from stages.viewing.styles import METHODS, Wish
 
 SHOWN = 320  # pixels of the painting's longer side on the page
@@ -14,14 +14,14 @@ WHOLE = "(whole scene)"
 
 def add(page: Any) -> None:
     """Add the panel's controls."""
-    gui, desk = page.gui, page.desk
+    gui, desk, stylizer = page.gui, page.desk, page.desk.stylizer
     state: dict[str, Any] = {"image": None}
     upload = gui.add_upload_button("Choose a painting", mime_type="image/*")
     painting = gui.add_image(np.full((8, 8, 3), 40, np.uint8), label="No painting yet")
     zoom = gui.add_slider("Zoom", 1.0, 8.0, 0.1, 1.0)
     across = gui.add_slider("Across", 0.0, 1.0, 0.01, 0.5)
     down = gui.add_slider("Down", 0.0, 1.0, 0.01, 0.5)
-    where = gui.add_dropdown("Where", [WHOLE, *desk.library.regions(desk.field)])
+    where = gui.add_dropdown("Where", [WHOLE, *desk.library.regions(desk.display.field)])
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
@@ -59,10 +59,10 @@ def add(page: Any) -> None:
         )
 
     def tell() -> None:
-        page.show_command(shown, lambda: desk.stylize_command(wish("PAINTING.png" if part() is not None else "")))
+        page.show_command(shown, lambda: stylizer.command(wish("PAINTING.png" if part() is not None else "")))
 
     def listing() -> None:
-        regions = [WHOLE, *desk.library.regions(desk.field)]
+        regions = [WHOLE, *desk.library.regions(desk.display.field)]
         if tuple(where.options) != tuple(regions):
             where.options = regions
         tell()
@@ -80,13 +80,13 @@ def add(page: Any) -> None:
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
         region = "" if where.value == WHOLE else where.value
-        started = desk.start(desk.stylize_command(wish(style)), partial(finished, region, name.value))
+        started = desk.runs.start(stylizer.command(wish(style)), partial(finished, region, name.value))
         if name.value:
-            desk.watch(started, name.value, region)
+            stylizer.watch(started, name.value, region)
 
     def finished(region: str, edit: str, run: Any) -> None:
         if region and run.code == 0 and edit:
-            desk.open_palette(EDIT_MARK + edit)
+            desk.recolorer.open(EDIT_MARK + edit)
         elif not region:
             desk.show_newest(run)
 
@@ -97,6 +97,6 @@ def add(page: Any) -> None:
     for one in (where, method, strength, stroke, budget, name):
         one.on_update(lambda event: tell())
     run.on_click(page.act(begun))
-    stop.on_click(page.act(lambda event: desk.stop()))
-    keep.on_click(page.act(lambda event: desk.keep(desk.show_newest)))
+    stop.on_click(page.act(lambda event: desk.runs.stop()))
+    keep.on_click(page.act(lambda event: stylizer.keep(desk.show_newest)))
     tell()

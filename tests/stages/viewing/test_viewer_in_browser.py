@@ -75,8 +75,8 @@ def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
     box = tab.canvas()
     page = next(iter(viewer.desk.painter._pages))
     tab.press(box["x"] + box["width"] * 0.4, box["y"] + box["height"] * 0.5)
-    assert until(lambda: viewer.desk.selected_cells > 0), tab.words()
-    assert until(lambda: f"{viewer.desk.selected_cells} cells selected" in tab.words())
+    assert until(lambda: viewer.desk.selector.cells > 0), tab.words()
+    assert until(lambda: f"{viewer.desk.selector.cells} cells selected" in tab.words())
     assert until(lambda: "stylerf select" in tab.words())
     assert until(lambda: viewer.desk.painter.exact(page) is not None)
     tab.choose("Undo")
@@ -86,7 +86,7 @@ def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
 
 @in_browser
 def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, tab):
-    desk = viewer.desk
+    desk, history = viewer.desk, viewer.desk.selector.history
     page = next(iter(desk.painter._pages))
     box = tab.canvas()
     x, y = box["x"] + box["width"] * 0.35, box["y"] + box["height"] * 0.5
@@ -94,10 +94,10 @@ def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, 
     for pointer, name in (("click", "at"), ("erase", "avoid")):
         viewer.page.controls["pointer"].value = pointer
         time.sleep(0.5)
-        before = len(getattr(desk.history.now, name))
+        before = len(getattr(history.now, name))
         tab.press(x, y, to=(x + 60, y + 20), modifiers=SHIFT)
-        assert until(lambda before=before, name=name: len(getattr(desk.history.now, name)) > before + 1), tab.words()
-    seeds = desk.history.now.at
+        assert until(lambda before=before, name=name: len(getattr(history.now, name)) > before + 1), tab.words()
+    seeds = history.now.at
     views = {view.name for view in desk.library.scene.views}
     assert len(seeds) > 2 and {seed.partition(":")[0] for seed in seeds} <= views
     assert desk.painter.pose(page) == pose, "a stroke leaves the camera alone"
@@ -105,12 +105,12 @@ def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, 
     viewer.page.controls["pointer"].value = "box"
     time.sleep(0.5)
     tab.press(x, y, to=(x + 60, y + 40), modifiers=SHIFT)
-    assert until(lambda: desk.history.now.box), tab.words()
+    assert until(lambda: history.now.box), tab.words()
     tab.press(x, y, to=(x + 60, y + 20))
     assert until(lambda: desk.painter.pose(page) != pose)
-    assert desk.history.now.at == seeds
+    assert history.now.at == seeds
     viewer.page.controls["pointer"].value = "look"
-    desk.clear_selection()
+    desk.selector.clear()
     assert tab.errors == []
 
 

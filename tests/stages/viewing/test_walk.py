@@ -24,6 +24,7 @@ from stages.pipeline.demo_scene import write_demo
 from stages.pipeline.pipeline import Pipeline
 from stages.run.progress import Silent
 from stages.viewing.half_done import steps_done
+from stages.viewing.runs import Runs
 from stages.viewing.server import Viewer
 from stages.viewing.styles import Wish
 from tests.stages.report.browser import CHROMIUM, Browser
@@ -82,6 +83,11 @@ def walked(root, tmp_path_factory):
     viewer.close()
 
 
+def succeeded(runs: Runs) -> None:
+    """Wait for the end of the present run, and fail unless it made what it was to make."""
+    assert until(lambda: runs.present.code is not None, PATIENCE) and runs.present.code == 0, list(runs.present.lines)
+
+
 class Film:
     """Pictures of the walk."""
 
@@ -105,7 +111,7 @@ class Film:
 @pytest.mark.timeout(1800)
 def test_the_whole_walk(root, walked, tmp_path):
     viewer, tab = walked
-    desk, controls = viewer.desk, viewer.page.controls
+    desk, runs, controls = viewer.desk, viewer.desk.runs, viewer.page.controls
     film = Film(Path(os.environ.get("STYLERF_SCREENSHOTS", tmp_path)), root.name)
     page = next(iter(desk.painter._pages))
     box = tab.canvas()
@@ -134,67 +140,67 @@ def test_the_whole_walk(root, walked, tmp_path):
     tab.choose("Select")
     controls["pointer"].value = "click"
     tab.press(*middle)
-    assert until(lambda: desk.selected_cells > 0, PATIENCE), tab.words()
+    assert until(lambda: desk.selector.cells > 0, PATIENCE), tab.words()
     assert until(lambda: "stylerf select" in tab.words())
-    grown = desk.selected_cells
-    desk.reselect(tolerance=desk.history.now.tolerance + 6)
-    assert desk.selected_cells >= grown
+    grown = desk.selector.cells
+    desk.selector.change(tolerance=desk.selector.history.now.tolerance + 6)
+    assert desk.selector.cells >= grown
     after = rest()
     film.take(tab, "2-selected", 3)
-    desk.look(plane="mask")
+    desk.display.look(plane="mask")
     mask = rest()[..., 0]
-    desk.look(plane="color")
+    desk.display.look(plane="color")
     changed = np.abs(after.astype(int) - before).max(2)
     assert (mask > 0).any() and changed[mask == 0].max(initial=0) <= 1
     assert (changed[mask > 200] > 12).mean() > 0.9
-    desk.start(desk.select_command("thing"))
-    assert until(lambda: desk.run.code is not None, PATIENCE) and desk.run.code == 0, list(desk.run.lines)
-    desk.clear_selection()
+    runs.start(desk.selector.command("thing"))
+    succeeded(runs)
+    desk.selector.clear()
 
     # Recolor: the page's picture is that of the recolored field, and goes back.
     tab.choose("Recolor")
-    desk.look(field="palette")
-    desk.open_palette("palette")
+    desk.display.look(field="palette")
+    desk.recolorer.open("palette")
     plain = rest()
     began = time.perf_counter()
-    desk.recolor(0, color="#d03010")
+    desk.recolorer.change(0, color="#d03010")
     assert until(lambda: desk.painter.exact(page) is not None, PATIENCE)
     print(f"recolored exactly after {time.perf_counter() - began:.2f} s")
     assert np.abs(rest().astype(int) - plain).max() > 40
-    assert "--palette" in " ".join(desk.recolor_command("red"))
+    assert "--palette" in " ".join(desk.recolorer.command("red"))
     film.take(tab, "3-recolored", 3)
-    desk.reset_palette()
+    desk.recolorer.reset()
     np.testing.assert_array_equal(rest(), plain)
-    desk.open_palette("")
+    desk.recolorer.open("")
 
     # Stylize: stopped and kept, a field of the steps so far. With a budget of steps, which repeats to the bit.
     tab.choose("Stylize")
-    desk.look(field="fit")
+    desk.display.look(field="fit")
     wish = Wish(str(root.parent / "painting.png"), budget="400", name="waves")
     plain = rest()
-    run = desk.start([*desk.stylize_command(wish), "--refit-steps", "10"])
-    desk.watch(run, "waves")
+    run = runs.start([*desk.stylizer.command(wish), "--refit-steps", "10"])
+    desk.stylizer.watch(run, "waves")
     assert until(lambda: (steps_done(desk.library.work, "waves") or 0) > 0, PATIENCE), list(run.lines)
     assert until(lambda: np.abs(rest().astype(int) - plain).max() > 40, PATIENCE), "it is shown as it trains"
     film.take(tab, "3-in-progress", 2)
     tab.choose("Keep as it is")
-    assert until(lambda: desk.run is not run and desk.run.code is not None, PATIENCE), list(desk.run.lines)
-    assert desk.run.code == 0 and "--until" in desk.run.arguments, list(desk.run.lines)
+    assert until(lambda: runs.present is not run and runs.present.code is not None, PATIENCE), list(runs.present.lines)
+    assert runs.present.code == 0 and "--until" in runs.present.arguments, list(runs.present.lines)
     kept = desk.library.work.get("field", "waves").manifest
     assert kept.figures["steps"] == kept.config["until"] < 400
-    assert until(lambda: desk.field == "waves")
+    assert until(lambda: desk.display.field == "waves")
     assert np.abs(rest().astype(int) - plain).max() > 40
     film.take(tab, "3-kept", 2)
 
     # Two fields side by side, depth, a path.
     tab.choose("Look")
-    desk.look(field="fit", beside="waves")
+    desk.display.look(field="fit", beside="waves")
     rest()
     film.take(tab, "4-beside", 3)
-    desk.look(beside="", plane="depth")
+    desk.display.look(beside="", plane="depth")
     rest()
     film.take(tab, "5-depth", 2)
-    desk.look(plane="color")
+    desk.display.look(plane="color")
     tab.choose("Paths")
     for _ in range(2):
         tab.choose("Add keyframe here")
@@ -202,16 +208,16 @@ def test_the_whole_walk(root, walked, tmp_path):
         tab.press(*middle, to=(middle[0] + 60, middle[1]))
         assert until(lambda before=pose: desk.painter.pose(page) != before)
         rest()
-    assert until(lambda: len(desk.keyframes.poses) == 2)
-    desk.set_keyframes(between=2)
-    desk.start([*desk.path_command(desk.save_path("walk")), "--scale", "0.5", "--no-exr"])
-    assert until(lambda: desk.run.code is not None, PATIENCE) and desk.run.code == 0, list(desk.run.lines)
+    assert until(lambda: len(desk.path.keyframes.poses) == 2)
+    desk.path.space(between=2)
+    runs.start([*desk.path.command(desk.path.save("walk")), "--scale", "0.5", "--no-exr"])
+    succeeded(runs)
     frames = desk.library.work.get("frames", "fit-walk")
     assert frames.manifest.figures["frames"] == 3
     tab.choose("Session")
     assert until(lambda: "stylerf render" in tab.words())
     film.take(tab, "6-session", 2)
-    assert desk.script().count("\nstylerf ") == 4
+    assert runs.script().count("\nstylerf ") == 4
     if root.name == "still-life":
         film.save()
     assert tab.errors == []
