@@ -13,7 +13,9 @@ from stages.viewing.shown import Source
 from stylerf.fields.blended_color import BlendedColor
 
 if TYPE_CHECKING:  # imports torch, which the first picture should not wait for
+    from stages.artifacts.edit import Edit
     from stages.viewing.recoloring import Swatch
+    from stylerf.editing.edit_grid import Region
 
 EDIT_MARK = "edit "  # before the name of a region's palette in lists of what can be recolored
 
@@ -29,6 +31,7 @@ class Recolorer:
     def __init__(self, display: Display) -> None:
         self._display, self._library = display, display.library
         self.palette, self.changes = "", Changes()
+        self._edits: dict[tuple[str, str], tuple[Edit, Region]] = {}  # the last one, by the digests
         display.recolored = self.recolored
 
     def palettes(self) -> list[str]:
@@ -66,24 +69,31 @@ class Recolorer:
         """Return a source with the palette's changes, if they are of it."""
         if not self.palette:
             return source
-        from stages.artifacts.edit import load_edit
         from stages.viewing.recoloring import edit_changes, edited_field, field_changes, recolored_field
 
         artifact, config = self._artifact(), self.changes.config()
         if self.palette.startswith(EDIT_MARK):
-            edit = load_edit(artifact)
-            region = self._library.region_of_edit(artifact)
-            if region is None:
-                raise BadInput(f"the region of edit {artifact.name} is gone; select it again")
             if isinstance(source.field.color, BlendedColor):
                 raise BadInput(f"an edit cannot be previewed on field {source.name}, a blend; show another field")
+            edit, region = self._loaded(artifact)
             changes = edit_changes(artifact, edit, config)
-            field = edited_field(source.field, edit, self._library.region(region.name), changes)
-            return replace(source, field=field)
+            return replace(source, field=edited_field(source.field, edit, region, changes))
         if artifact.name != source.name:
             return source
         field = recolored_field(source.field, field_changes(artifact, source.field.color, config))
         return replace(source, field=field)
+
+    def _loaded(self, artifact: Artifact) -> "tuple[Edit, Region]":
+        """Return an edit and its region; the last ones from memory, so that a slider does not read them each time."""
+        from stages.artifacts.edit import load_edit
+
+        region = self._library.region_of_edit(artifact)
+        if region is None:
+            raise BadInput(f"the region of edit {artifact.name} is gone; select it again")
+        key = artifact.digest, region.digest
+        if key not in self._edits:
+            self._edits = {key: (load_edit(artifact), self._library.region(region.name))}
+        return self._edits[key]
 
     def command(self, name: str = "") -> list[str]:
         """Return the command that keeps the changes.

@@ -40,6 +40,16 @@ class Shown:
     plane: str = "color"
     marked: np.ndarray | None = field(default=None, repr=False)
 
+    def differs_by_colors(self, other: "Shown") -> bool:
+        """Whether the same density is shown in the same way."""
+        return (
+            self.left.field.density is other.left.field.density
+            and self.left.level == other.left.level
+            and self.right is other.right
+            and (self.wipe, self.plane) == (other.wipe, other.plane)
+            and self.marked is other.marked
+        )
+
     def boundary(self, width: int) -> int:
         """Return the first column of the right field."""
         return width if self.right is None else round(np.clip(self.wipe, 0, 1) * width)

@@ -84,4 +84,3 @@ def in_batches(pixels: np.ndarray, size: int, stopped: Callable[[], bool]) -> It
         if stopped():
             return
         yield pixels[at : at + size]
-
