@@ -47,6 +47,7 @@ class Display:
         selected: [s, s, s] bool, marked cells of a selection in progress, before any overlay; None: none.
         in_progress: What a stylization in progress looks like, instead of the field; None: none.
         recolored: Returns a source with the changes of its palette.
+        plain: Whether pages show a field as it is stored: alone, in color, with nothing tinted or changed.
     """
 
     def __init__(self, library: Library, painter: Painter) -> None:
@@ -56,6 +57,7 @@ class Display:
         self.selected: np.ndarray | None = None
         self.in_progress: Source | None = None
         self.recolored: Callable[[Source], Source] = lambda source: source
+        self.plain = True
         self._overlays: dict[str, np.ndarray] = {}  # the last one, by its digest
 
     @property
@@ -90,9 +92,12 @@ class Display:
     def refresh(self) -> None:
         """Show what is to be shown now."""
         with self.lock:
-            left = self.in_progress or self.recolored(self.source())
+            stored, marked = self.source(), self._marked()
+            left = self.in_progress or self.recolored(stored)
             right = self.library.source(self.choice.beside) if self.choice.beside else None
-            self.painter.show(Shown(left, right, self.choice.wipe, self.choice.plane, self._marked()))
+            unchanged = left.field.color is stored.field.color
+            self.plain = unchanged and right is None and marked is None and self.choice.plane == "color"
+            self.painter.show(Shown(left, right, self.choice.wipe, self.choice.plane, marked))
 
     def _marked(self) -> np.ndarray | None:
         if self.selected is not None or not self.choice.overlay:

@@ -13,7 +13,7 @@ import numpy as np
 
 from stages.viewing.cameras import FEWEST_PIXELS, Pose
 from stages.viewing.pace import Pace, use_threads
-from stages.viewing.pictures import Mixtures, Painted, render
+from stages.viewing.pictures import Mixtures, Painted, Quality, render
 from stages.viewing.shown import Shown, picture_of
 from stylerf.fields.marching import ScratchArena
 from stylerf.rendering.interlaced import coarsest_within, in_batches, interlaced, spread_out
@@ -22,7 +22,7 @@ REST_SECONDS = 0.12  # without a new pose, after which the camera rests
 FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
 LOADING_RAYS = 16  # that load the kernels
 BATCH_SECONDS = 0.08  # between looks at whether the picture is still wanted
-MOVING_TRANSMITTANCE = 1e-2  # where rays end while the camera moves; exact pictures use the engine's own
+MOVING = Quality(min_transmittance=1e-2, steps=2.0)  # while the camera moves
 FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
 
 
@@ -107,13 +107,15 @@ class Painter:
         with self._ready:
             self._pages.pop(page, None)
 
-    def move(self, page: int, pose: Pose) -> None:
-        """Take note of where a page's camera is."""
+    def move(self, page: int, pose: Pose, drawn: bool = False) -> None:
+        """Take note of where a page's camera is. drawn: the page draws by itself what is seen as it moves."""
         with self._ready:
             wanted = self._pages.get(page)
             if wanted is not None and wanted.pose != pose:
                 wanted.pose = pose
                 self._touch(wanted)
+                if drawn:
+                    wanted.painted = (wanted.version, 0)
 
     def show(self, shown: Shown | None) -> None:
         """Show something else, on every page; None: nothing."""
@@ -197,7 +199,7 @@ class Painter:
         camera = pose.camera(min(self.pace.moving / self._fps * FEWER, self._exact_pixels))
         pixels = np.arange(camera.width * camera.height)
         with self.pace.in_motion(len(pixels)) as threads:
-            rendered = render(camera, shown, pixels, threads, self._arena, MOVING_TRANSMITTANCE)
+            rendered = render(camera, shown, pixels, threads, self._arena, MOVING)
         out = rendered.reshape(camera.height, camera.width, 6)
         wanted.send(picture_of(shown, camera, out), False, 1)
         with self._ready:

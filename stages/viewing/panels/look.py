@@ -22,6 +22,7 @@ def add(page: Any) -> None:
     views = [view.name for view in scene.views]
     view = gui.add_dropdown("Camera", views, initial_value=views[0])
     frusta = gui.add_checkbox("Cameras in the scene", False)
+    moving = gui.add_checkbox("Splats while moving", True, hint="Where the field's splats are exported")
     picture = gui.add_button("Save picture")
     html = gui.add_button("Save scene as HTML")
     shown = gui.add_markdown("")
@@ -40,8 +41,13 @@ def add(page: Any) -> None:
             field.value = display.field
         tell()
 
+    def chosen() -> None:
+        listing()
+        page.show_splats()
+
     page.rest.append(listing)
-    field.on_update(page.act(lambda event: display.look(field=field.value), listing))
+    moving.on_update(page.act(lambda event: page.show_splats(moving.value)))
+    field.on_update(page.act(lambda event: display.look(field=field.value), chosen))
     beside.on_update(page.act(lambda event: display.look(beside="" if beside.value == NONE else beside.value)))
     wipe.on_update(page.act(lambda event: display.look(wipe=float(wipe.value))))
     plane.on_update(page.act(lambda event: display.look(plane=plane.value)))

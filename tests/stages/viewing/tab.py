@@ -78,3 +78,9 @@ def until(found, seconds: float = 20.0):
     while not (value := found()) and time.monotonic() < end:
         time.sleep(0.1)
     return value
+
+
+def page_of(desk) -> int:
+    """The number of the viewer's only page, once it is open."""
+    assert until(lambda: list(desk.painter._pages))
+    return next(iter(desk.painter._pages))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stages.viewing import painter as painting
 from stages.viewing import pictures
 from stages.viewing.cameras import Pose
 from stages.viewing.library import Library
@@ -112,6 +113,32 @@ def test_another_palette_is_shown_at_once_nearly_right_then_exactly(library, pai
     painter.show(Shown(library.source("plain"), other))
     assert board.done.wait(60)
     assert np.abs(board.sent[-1][0].astype(int) - first).max() > 10, "another field is no change of the palette"
+
+
+def test_what_a_page_draws_itself_is_painted_at_rest_alone(library, painter):
+    board = Board()
+    painter.open(0, board)
+    painter.show(Shown(library.source("plain")))
+    painter.move(0, pose())
+    assert board.done.wait(60)
+    board.sent.clear()
+    board.done.clear()
+    for x in (0.1, 0.2):
+        painter.move(0, pose(x), drawn=True)
+    assert board.done.wait(60)
+    assert {picture.shape for picture, _, _ in board.sent} == {board.sent[-1][0].shape}
+    assert [exact for _, exact, _ in board.sent] == [False] * (len(board.sent) - 1) + [True]
+
+
+def test_a_moving_picture_is_nearly_the_exact_one(library):
+    shown, camera = Shown(library.source("plain")), pose().camera(1200)
+    pixels = np.arange(camera.width * camera.height)
+    moving, exact = (
+        picture_of(shown, camera, pictures.render(camera, shown, pixels, 1, ScratchArena(), quality).reshape(30, 40, 6))
+        for quality in (painting.MOVING, pictures.EXACT)
+    )
+    off = np.abs(moving.astype(int) - exact)
+    assert exact.any() and off.max() > 0 and np.sqrt(np.square(off).mean()) < 6
 
 
 def test_of_a_large_picture_a_grid_is_recolored(library, monkeypatch):

@@ -28,7 +28,7 @@ from stages.viewing.runs import Runs
 from stages.viewing.server import Viewer
 from stages.viewing.styles import Wish
 from tests.stages.report.browser import CHROMIUM, Browser
-from tests.stages.viewing.tab import SOFTWARE_GL, Tab, until
+from tests.stages.viewing.tab import SOFTWARE_GL, Tab, page_of, until
 
 pytestmark = [
     pytest.mark.slow,
@@ -113,7 +113,7 @@ def test_the_whole_walk(root, walked, tmp_path):
     viewer, tab = walked
     desk, runs, controls = viewer.desk, viewer.desk.runs, viewer.page.controls
     film = Film(Path(os.environ.get("STYLERF_SCREENSHOTS", tmp_path)), root.name)
-    page = next(iter(desk.painter._pages))
+    page = page_of(desk)
     box = tab.canvas()
     middle = (box["x"] + 0.36 * box["width"], box["y"] + 0.5 * box["height"])
 
