@@ -27,6 +27,23 @@ def as_text(arguments: Iterable[str]) -> str:
     return shlex.join(["stylerf", *arguments])
 
 
+def wrapped(arguments: Iterable[str], width: int) -> str:
+    """Return a command as a shell takes it, in lines of about `width` characters that go on after a backslash."""
+    pieces = ["stylerf"]  # of words that stay together: an option and its value
+    for word in map(shlex.quote, arguments):
+        if word.startswith("--"):
+            pieces.append(word)
+        else:
+            pieces[-1] += f" {word}"
+    lines = pieces[:1]
+    for piece in pieces[1:]:
+        if len(lines[-1]) + 1 + len(piece) <= width:
+            lines[-1] += f" {piece}"
+        else:
+            lines.append(f"  {piece}")
+    return " \\\n".join(lines)
+
+
 def script_of(commands: Iterable[list[str]]) -> str:
     """Return a shell script that runs the commands and ends at the first that fails."""
     return "\n".join(["#!/bin/sh", "set -e", *map(as_text, commands), ""])

@@ -5,6 +5,7 @@ Threads of the page call them, and what is shown changes under one lock (Display
 
 from collections.abc import Callable
 
+from schemas.work_folder import Artifact
 from stages.viewing.display import Display
 from stages.viewing.library import Library
 from stages.viewing.painter import Painter
@@ -51,13 +52,20 @@ class Desk:
         self.stylizer = Stylizer(self.display, self.runs)
         self.path = PathEditor(library)
 
-    def show_newest(self, run: Run) -> None:
-        """Show the newest field, if a run has made one."""
-        if run.code == 0:
-            newest = self.library.first_field()
-            if newest != self.display.field:
-                self.display.look(field=newest)
-            self._changed()
+    def showing_its_field(self) -> Callable[[Run], None]:
+        """Return what shows, at the end of a run that starts now, the field that it has made, if it has made one."""
+        before = self._newest().digest
+
+        def ended(run: Run) -> None:
+            made = self._newest()
+            if run.code == 0 and made.digest != before:
+                self.display.look(field=made.name)
+                self._changed()
+
+        return ended
+
+    def _newest(self) -> Artifact:
+        return self.library.work.get("field", self.library.first_field())
 
     def close(self) -> None:
         """Interrupt the run and wait for its checkpoint; end what is computed in the background."""

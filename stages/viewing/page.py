@@ -10,7 +10,7 @@ import numpy as np
 
 from schemas.errors import StylerfError
 from stages.viewing.cameras import Pose
-from stages.viewing.commands import as_text
+from stages.viewing.commands import wrapped
 from stages.viewing.desk import Desk
 from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
@@ -21,6 +21,7 @@ MOST_FRUSTA = 60
 THUMBNAIL = 96  # pixels of its longer side
 SETTLED_SECONDS = 3.0  # after which a page has taken the camera that it was given
 JPEG_MOVING, JPEG_EXACT = 70, 92
+COMMAND_WIDTH = 46  # characters that a panel has room for
 
 
 class Page:
@@ -122,7 +123,7 @@ class Page:
     def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
         """Show the command of an action, or why there is none."""
         try:
-            handle.content = f"```sh\n{as_text(make())}\n```"
+            handle.content = f"```sh\n{wrapped(make(), COMMAND_WIDTH)}\n```"
         except (StylerfError, ValueError) as error:
             handle.content = f"*{_plain(str(error))}*"
 

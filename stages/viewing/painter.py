@@ -23,6 +23,7 @@ FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
 LOADING_RAYS = 16  # that load the kernels
 BATCH_SECONDS = 0.08  # between looks at whether the picture is still wanted
 MOVING = Quality(min_transmittance=1e-2, steps=2.0)  # while the camera moves
+SLOW_SECONDS = 0.1  # that recoloring a picture may take with all of its pixels; of a quarter of them else
 FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
 
 
@@ -75,6 +76,7 @@ class Painter:
         self._ended = False
         self._loading: Callable[[], object] = lambda: None
         self._arena = ScratchArena()
+        self._thinned = 1  # stride of recolored pixels
         self.pace = Pace(threads)
         self._thread = threading.Thread(target=self._work, name="painter", daemon=True)
 
@@ -192,7 +194,10 @@ class Painter:
     def _paint_moving(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
         if wanted.kept is not None and wanted.kept.recolors_to(pose, shown):
             use_threads(1)  # short steps: a second thread is waited for longer than it helps
-            wanted.send(wanted.kept.recolored(shown), False, 1)
+            began = time.perf_counter()
+            wanted.send(wanted.kept.recolored(shown, self._thinned), False, 1)
+            seconds = time.perf_counter() - began
+            self._thinned = 2 if seconds > SLOW_SECONDS else 1 if seconds < SLOW_SECONDS / 8 else self._thinned
             with self._ready:
                 wanted.painted = (version, 0)
             return

@@ -82,15 +82,15 @@ class Painted:
     out: np.ndarray = field(repr=False)
     mixtures: Mixtures | None = None
 
-    def _colors(self, shown: Shown) -> np.ndarray:
-        """Return the colors [pixels, 3] of the mixtures under the palette of something to show."""
+    def _colors(self, shown: Shown, at: np.ndarray | slice) -> np.ndarray:
+        """Return the colors [n, 3] of mixtures under the palette of something to show."""
         assert self.mixtures is not None
         seen = shown.left.field
-        return colors_of(cast(Mixing, seen.color), self.mixtures.means, seen.color_map)
+        return colors_of(cast(Mixing, seen.color), self.mixtures.means[at], seen.color_map)
 
     @cached_property
     def _own(self) -> np.ndarray:
-        return self._colors(self.shown)
+        return self._colors(self.shown, slice(None))
 
     def recolors_to(self, pose: Pose, shown: Shown) -> bool:
         """Whether something else to show differs from this picture in its palette alone."""
@@ -99,13 +99,19 @@ class Painted:
         color = old.color
         return same and mixtures is not None and isinstance(color, Mixing) and color.mixes_as(now.color)
 
-    def recolored(self, shown: Shown) -> np.ndarray:
-        """Return the picture [h, w, 3] uint8 under another palette, approximately; see pixel_mixtures."""
+    def recolored(self, shown: Shown, thinned: int = 1) -> np.ndarray:
+        """Return the picture [h, w, 3] uint8 under another palette, approximately; see pixel_mixtures.
+
+        Args:
+            thinned: stride of the pixels of the mixtures' grid that are taken; others are left out.
+        """
         assert self.mixtures is not None
-        stride = self.mixtures.stride
+        stride = self.mixtures.stride * thinned
         grid = self.out[::stride, ::stride].copy()
         alpha = grid[..., 3:4]
-        change = (self._colors(shown) - self._own) * self.mixtures.shares[:, None]
+        wide = -(-self.camera.width // self.mixtures.stride)
+        at = np.arange(len(self.mixtures.means)).reshape(-1, wide)[::thinned, ::thinned].ravel()
+        change = (self._colors(shown, at) - self._own[at]) * self.mixtures.shares[at, None]
         grid[..., :3] = np.clip(grid[..., :3] + alpha * change.reshape(*alpha.shape[:2], 3), 0, alpha)
         return picture_of(shown, _thinned(self.camera, stride), grid)
 

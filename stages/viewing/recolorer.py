@@ -38,18 +38,21 @@ class Recolorer:
         """Return what can be recolored: decomposed fields, and regions' palettes with EDIT_MARK before their names."""
         return [*self._library.palettes(), *(EDIT_MARK + name for name in self._library.edits())]
 
-    def open(self, name: str) -> "list[Swatch]":
-        """Choose what is recolored (empty: nothing), without changes; return its colors."""
-        from stages.viewing.recoloring import swatches
-
+    def open(self, name: str) -> None:
+        """Choose what is recolored (empty: nothing), without changes."""
         with self._display.lock:
             self.palette, self.changes = name, Changes()
             self._display.look(field=name if name and not name.startswith(EDIT_MARK) else None)
-            return swatches(self._artifact()) if name else []
 
-    def reset(self) -> "list[Swatch]":
-        """Take all changes back; return the colors."""
-        return self.open(self.palette)
+    def swatches(self) -> "list[Swatch]":
+        """Return the colors of what is recolored as they are stored, the largest share first."""
+        from stages.viewing.recoloring import swatches
+
+        return swatches(self._artifact()) if self.palette else []
+
+    def reset(self) -> None:
+        """Take all changes back."""
+        self.open(self.palette)
 
     def change(self, index: int, color: str = "", weight: float | None = None, bias: float | None = None) -> None:
         """Change a palette color: its color (#rrggbb), the factor of its weight, what is added to that."""

@@ -15,6 +15,7 @@ def add(page: Any) -> None:
     region = gui.add_dropdown("Region", [NONE, *desk.library.regions(desk.display.field)])
     edit = gui.add_dropdown("Edit", [NONE, *desk.library.all_edits()])
     seconds = gui.add_number("Seconds", 30, min=5, max=86_400, step=5)
+    page.controls["seconds"] = seconds
 
     def chosen(control: Any) -> str:
         return "" if control.value == NONE else control.value
@@ -31,7 +32,7 @@ def add(page: Any) -> None:
             gui.add_markdown("2. Stylize or recolor the region: *Stylize* and *Recolor* show it while it is learned.")
         button = gui.add_button(title, hint=hint)
         shown.append((gui.add_markdown(""), made))
-        button.on_click(page.act(lambda event, made=made: desk.runs.start(made(), desk.show_newest)))
+        button.on_click(page.act(lambda event, made=made: desk.runs.start(made(), desk.showing_its_field())))
 
     def tell() -> None:
         for handle, made in shown:

@@ -1,5 +1,6 @@
 """Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -25,7 +26,7 @@ def add(page: Any) -> None:
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
-    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m), or a number of style steps")
+    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m); of the whole scene also a number of style steps")
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
@@ -80,15 +81,17 @@ def add(page: Any) -> None:
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
         region = "" if where.value == WHOLE else where.value
-        started = desk.runs.start(stylizer.command(wish(style)), partial(finished, region, name.value))
+        started = desk.runs.start(
+            stylizer.command(wish(style)), partial(finished, region, name.value, desk.showing_its_field())
+        )
         if name.value:
             stylizer.watch(started, name.value, region)
 
-    def finished(region: str, edit: str, run: Any) -> None:
+    def finished(region: str, edit: str, show: Callable[[Any], None], run: Any) -> None:
         if region and run.code == 0 and edit:
             desk.recolorer.open(EDIT_MARK + edit)
         elif not region:
-            desk.show_newest(run)
+            show(run)
 
     page.rest.append(listing)
     upload.on_upload(page.act(taken))
@@ -98,5 +101,5 @@ def add(page: Any) -> None:
         one.on_update(lambda event: tell())
     run.on_click(page.act(begun))
     stop.on_click(page.act(lambda event: desk.runs.stop()))
-    keep.on_click(page.act(lambda event: stylizer.keep(desk.show_newest)))
+    keep.on_click(page.act(lambda event: stylizer.keep(desk.showing_its_field())))
     tell()

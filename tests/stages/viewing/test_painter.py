@@ -151,6 +151,8 @@ def test_of_a_large_picture_a_grid_is_recolored(library, monkeypatch):
     picture = painted.recolored(Shown(palette))
     assert mixtures.stride == 2 and picture.shape == (23, 30, 3)
     np.testing.assert_array_equal(picture, picture_of(shown, camera, painted.out)[::2, ::2])
+    thinner = painted.recolored(Shown(palette), 2)
+    np.testing.assert_array_equal(thinner, picture[::2, ::2])
 
 
 def test_a_closed_page_is_sent_nothing(library, painter):

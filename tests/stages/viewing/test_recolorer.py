@@ -21,7 +21,8 @@ from tests.stages.viewing.room import FRONT, PALETTE, SHARES
 
 
 def test_a_recolored_picture_is_that_of_the_kept_field(desk):
-    swatches = desk.recolorer.open("palette")
+    desk.recolorer.open("palette")
+    swatches = desk.recolorer.swatches()
     assert [one.share for one in swatches] == sorted((one.share for one in swatches), reverse=True)
     with pytest.raises(UsageError, match="no palette color was changed"):
         desk.recolorer.command()
@@ -62,7 +63,8 @@ def test_a_regions_palette_is_shown_on_the_region_alone_and_kept_with_its_option
     learned = {"recolor": True, "colors": 6, "max_colors": 4}
     made.commit(work, "edit", "half", "edit_learn", {**inputs, "region": half}, write, config=learned)
     assert "edit half" in desk.recolorer.palettes()
-    assert len(desk.recolorer.open("edit half")) == 4
+    desk.recolorer.open("edit half")
+    assert len(desk.recolorer.swatches()) == 4
     desk.recolorer.change(1, color="#ff00ff")
     args, config = config_of(desk.recolorer.command("pink"))
     assert (args.region, args.name, config.recolor, config.colors, config.max_colors) == ("half", "pink", True, 6, 4)
