@@ -134,11 +134,16 @@ class Page:
             self.status.content = ""
         else:
             state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
-            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(run.last)[:160]}`"
+            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self._within(run.last))[:160]}`"
         for one in self.rest:
             one()
         if run is not None and run.code is not None:
             self.show_splats()
+
+    def _within(self, text: str) -> str:
+        """Return text with paths in the work folder relative to it."""
+        root = self.desk.library.work.root
+        return text.replace(f"{root.resolve()}/", "").replace(f"{root}/", "")
 
     # -- pages that come and go ----------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ def add(page: Any) -> None:
     gui.add_markdown("*click*: it grows. *erase*: it does not belong. Drag with Shift: a stroke, or at *box* a box.")
     start = selector.history.now
     tolerance = gui.add_slider("Color tolerance", 0.0, 60.0, 1.0, start.tolerance)
+    page.controls["tolerance"] = tolerance
     steps = gui.add_slider("Growing steps", 0, MOST_STEPS, 1, start.steps)
     cells = gui.add_number("Cells a step", start.iterations, min=1, max=10_000_000, step=1000)
     with gui.add_folder("With other regions", expand_by_default=False):

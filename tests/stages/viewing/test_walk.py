@@ -160,7 +160,8 @@ def test_the_whole_walk(root, walked, tmp_path):
     assert until(lambda: desk.selector.cells > 0, PATIENCE), tab.words()
     assert until(lambda: "stylerf select" in tab.words())
     grown = desk.selector.cells
-    desk.selector.change(tolerance=desk.selector.history.now.tolerance + 6)
+    controls["tolerance"].value += 6
+    assert until(lambda: "--tolerance" in tab.words(), PATIENCE), tab.words()
     assert desk.selector.cells >= grown
     desk.selector.change(iterations=5000)  # a region of a fit as short as this one may grow over everything
     after = rest()
@@ -261,7 +262,7 @@ def test_the_whole_walk(root, walked, tmp_path):
         rest()
     assert until(lambda: len(desk.path.keyframes.poses) == 2)
     desk.path.space(between=2)
-    runs.start([*desk.path.command(desk.path.save("walk")), "--scale", "0.5", "--no-exr"])
+    runs.start([*desk.path.command(desk.path.save("walk"), "fit"), "--scale", "0.5", "--no-exr"])
     succeeded(runs)
     frames = desk.library.work.get("frames", "fit-walk")
     assert frames.manifest.figures["frames"] == 3
