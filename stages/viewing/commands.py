@@ -7,6 +7,8 @@ from typing import Any
 
 from stages.configs import flags_of
 
+COMMAND_WIDTH = 46  # characters that a panel has room for
+
 
 def command(verb: str, work: Path | str, config: Any = None, **others: str) -> list[str]:
     """Return the arguments of `stylerf`, without the program's name.

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from schemas.errors import StylerfError
-from stages.viewing.cameras import Pose
-from stages.viewing.commands import wrapped
+from stages.viewing.cameras import Pose, level_up
+from stages.viewing.commands import COMMAND_WIDTH, wrapped
 from stages.viewing.desk import Desk
 from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
@@ -21,7 +21,6 @@ MOST_FRUSTA = 60
 THUMBNAIL = 96  # pixels of its longer side
 SETTLED_SECONDS = 3.0  # after which a page has taken the camera that it was given
 JPEG_MOVING, JPEG_EXACT = 70, 92
-COMMAND_WIDTH = 46  # characters that a panel has room for
 
 
 class Page:
@@ -71,7 +70,7 @@ class Page:
         start = self.server.initial_camera
         start.position = first.center
         start.look_at = first.center + first.forward * away
-        start.up = -first.world_from_camera[:3, 1]
+        start.up = level_up(self.up, first.world_from_camera)
         start.fov = 2 * float(np.arctan(first.height / 2 / first.fy))
         self.away, self._first = away, first
 
@@ -113,10 +112,10 @@ class Page:
 
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
         with client.atomic():
-            client.camera.up_direction = -pose[:3, 1]
             client.camera.wxyz = np.array([w, x, y, z])
             client.camera.position = pose[:3, 3]
             client.camera.look_at = pose[:3, 3] + pose[:3, 2] * self.away
+            client.camera.up_direction = level_up(self.up, pose)
             if fov is not None:
                 client.camera.fov = fov
 
@@ -134,13 +133,13 @@ class Page:
             self.status.content = ""
         else:
             state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
-            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self._within(run.last))[:160]}`"
+            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self.within(run.last))[:160]}`"
         for one in self.rest:
             one()
         if run is not None and run.code is not None:
             self.show_splats()
 
-    def _within(self, text: str) -> str:
+    def within(self, text: str) -> str:
         """Return text with paths in the work folder relative to it."""
         root = self.desk.library.work.root
         return text.replace(f"{root.resolve()}/", "").replace(f"{root}/", "")
