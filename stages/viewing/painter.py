@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from stages.viewing.cameras import FEWEST_PIXELS, Pose
-from stages.viewing.pace import Pace, use_threads
+from stages.viewing.pace import MOST_RAYS, Pace, use_threads
 from stages.viewing.pictures import Mixtures, Painted, Quality, render
 from stages.viewing.shown import Shown, picture_of
 from stylerf.fields.marching import ScratchArena
@@ -204,8 +204,13 @@ class Painter:
         camera = pose.camera(min(self.pace.moving / self._fps * FEWER, self._exact_pixels))
         pixels = np.arange(camera.width * camera.height)
         with self.pace.in_motion(len(pixels)) as threads:
-            rendered = render(camera, shown, pixels, threads, self._arena, MOVING)
-        out = rendered.reshape(camera.height, camera.width, 6)
+            rendered = [  # in batches: each ray takes pages of its own in every array of its samples
+                render(camera, shown, batch, threads, self._arena, MOVING)
+                for batch in in_batches(pixels, MOST_RAYS, lambda: self._ended)
+            ]
+        if self._ended:
+            return
+        out = np.concatenate(rendered).reshape(camera.height, camera.width, 6)
         wanted.send(picture_of(shown, camera, out), False, 1)
         with self._ready:
             wanted.painted = (version, 0)
