@@ -26,6 +26,7 @@ def add(page: Any) -> None:
     picture = gui.add_button("Save picture")
     html = gui.add_button("Save scene as HTML")
     shown = gui.add_markdown("")
+    page.controls |= {"field": field, "beside": beside, "plane": plane}
 
     def tell() -> None:
         page.show_command(shown, display.render_command)

@@ -250,13 +250,16 @@ def test_the_whole_walk(root, walked, tmp_path):
 
     # Two fields side by side, depth, a path.
     tab.choose("Look")
-    desk.display.look(field="fit", beside="waves")
+    controls["field"].value, controls["beside"].value = "fit", "waves"
+    assert until(lambda: (desk.display.field, desk.display.choice.beside) == ("fit", "waves"))
     rest()
     film.take(tab, "4-beside", 3)
-    desk.display.look(beside="", plane="depth")
+    controls["beside"].value, controls["plane"].value = "(none)", "depth"
+    assert until(lambda: (desk.display.choice.beside, desk.display.choice.plane) == ("", "depth"))
     rest()
     film.take(tab, "5-depth", 2)
-    desk.display.look(plane="color")
+    controls["plane"].value = "color"
+    assert until(lambda: desk.display.choice.plane == "color")
     tab.choose("Paths")
     for _ in range(2):
         tab.choose("Add keyframe here")
