@@ -23,7 +23,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.palettenerf import DecompositionWeights, PaletteNerf
 from stylerf.training.stylize.scene import StyleProblem
-from stylerf.training.stylize.settings import StyleSettings
+from stylerf.training.stylize.settings import REFIT, STYLE, StyleSettings
 from stylerf.training.stylize.trainer import StylizationTrainer
 
 SPEC = Spec(stage="decompose", verb="stylize", revision=3, writes="field")
@@ -64,9 +64,7 @@ def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialAr
     if resumed(trainer, partial, context):
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     with compiling_note(context.progress.say):
-        train(
-            trainer, "the decomposition", config, partial, context, {"refit": "new colors", "style": "palette"}, begun
-        )
+        train(trainer, "the decomposition", config, partial, context, {REFIT: "new colors", STYLE: "palette"}, begun)
         figures = method.figures()
     state, decomposed = trainer.state, trainer.scene.field
     save_field(partial.path, decomposed, background)

@@ -52,6 +52,7 @@ from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import Arf
 from stylerf.training.stylize.refnpr import RefNpr
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
+from stylerf.training.stylize.settings import REFIT
 from stylerf.training.stylize.snerf import Snerf
 from stylerf.training.stylize.trainer import StyleMethod, StylizationTrainer
 
@@ -100,7 +101,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         context.progress.say(f"resuming at step {trainer.state.step} of phase {trainer.state.phase}")
     try:
         with compiling_note(context.progress.say):
-            train(trainer, "the stylization", config, partial, context, {"refit": "new colors"}, begun)
+            train(trainer, "the stylization", config, partial, context, {REFIT: "new colors"}, begun)
     except InvalidValue as error:
         raise BadInput(f"{inputs['field'].path}: {error}") from error
     stylized, state = trainer.scene.field, trainer.state

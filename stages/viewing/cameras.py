@@ -10,6 +10,7 @@ from stylerf.geometry.cameras import Camera
 
 FEWEST_PIXELS = 32 * 24
 LONGEST_ASPECT = 8.0
+STEEP = 0.1  # sine of the angle between the view and the vertical under which the picture's own up is taken
 
 
 @dataclass(frozen=True)
@@ -66,3 +67,19 @@ def pixel_at(camera: Camera, across: float, down: float) -> int:
     x = min(int(np.clip(across, 0, 1) * camera.width), camera.width - 1)
     y = min(int(np.clip(down, 0, 1) * camera.height), camera.height - 1)
     return y * camera.width + x
+
+
+def level_up(up: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return the direction nearest to `up` that a camera may call up without rolling; drags turn the camera around it.
+
+    That is `up` without its part along the camera's right: the vertical itself, if the horizon is level in the picture.
+
+    Args:
+        up: the scene's, unit [3].
+        pose: world_from_camera [4, 4].
+    """
+    right, above, forward = pose[:3, 0], -pose[:3, 1], pose[:3, 2]
+    level = up - (up @ right) * right
+    if level @ above <= 0 or np.linalg.norm(np.cross(level, forward)) < STEEP:
+        return above
+    return np.asarray(level / np.linalg.norm(level))

@@ -7,6 +7,8 @@ from typing import Any
 
 from stages.configs import flags_of
 
+COMMAND_WIDTH = 46  # characters that a panel has room for
+
 
 def command(verb: str, work: Path | str, config: Any = None, **others: str) -> list[str]:
     """Return the arguments of `stylerf`, without the program's name.
@@ -25,6 +27,23 @@ def command(verb: str, work: Path | str, config: Any = None, **others: str) -> l
 def as_text(arguments: Iterable[str]) -> str:
     """Return a command as a shell takes it."""
     return shlex.join(["stylerf", *arguments])
+
+
+def wrapped(arguments: Iterable[str], width: int) -> str:
+    """Return a command as a shell takes it, in lines of about `width` characters that go on after a backslash."""
+    pieces = ["stylerf"]  # of words that stay together: an option and its value
+    for word in map(shlex.quote, arguments):
+        if word.startswith("--"):
+            pieces.append(word)
+        else:
+            pieces[-1] += f" {word}"
+    lines = pieces[:1]
+    for piece in pieces[1:]:
+        if len(lines[-1]) + 1 + len(piece) <= width:
+            lines[-1] += f" {piece}"
+        else:
+            lines.append(f"  {piece}")
+    return " \\\n".join(lines)
 
 
 def script_of(commands: Iterable[list[str]]) -> str:

@@ -16,6 +16,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.training.stylize.scene import COLOR, FINEST
+from stylerf.training.stylize.settings import STYLE
 from stylerf.validation import LEARNED, entry
 
 BASE_CELLS = 16  # of new colors, a side of the coarsest level; those that the page starts have the stage's own sizes
@@ -65,7 +66,7 @@ def steps_done(work: WorkFolder, name: str) -> int | None:
     """Return the style steps that an interrupted stylization of a whole scene has taken; None before the first."""
     found = _checkpoint(work, name, "field")
     state = found[0].get("state") if found is not None else None
-    if not isinstance(state, dict) or state.get("phase") != "style":
+    if not isinstance(state, dict) or state.get("phase") != STYLE:
         return None
     step = state.get("step")
     return step if isinstance(step, int) and step > 0 else None

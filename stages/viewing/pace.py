@@ -4,6 +4,7 @@ A picture while the camera moves takes some hundredths of a second, in which fiv
 their threads.
 """
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,17 @@ from stylerf.kernels.cpu.compiling import set_threads
 
 FIRST_RATE = 20_000.0  # rays per second, until measured
 NEWEST = 0.3  # share of the newest measurement
+FEWEST_RAYS, MOST_RAYS = 1024, 4096  # of a batch: below, kernels cost more than rays; above, memory
 TRY_EVERY = 16  # batches of exact pictures, one of which tries the other number of threads
+
+
+def use_threads(threads: int) -> int:
+    """Set the threads of kernels, and of torch if colors need it; return their number."""
+    if "torch" in sys.modules:
+        import torch
+
+        torch.set_num_threads(threads)
+    return set_threads(threads)
 
 
 class Pace:
@@ -37,21 +48,25 @@ class Pace:
         """The number of threads that has been faster."""
         return max(self._rates, key=lambda threads: self._rates[threads])
 
+    def rays_within(self, seconds: float) -> int:
+        """Return how many rays of an exact picture take about this long."""
+        return int(min(max(self.rate * seconds, FEWEST_RAYS), MOST_RAYS))
+
     @contextmanager
     def exactly(self, rays: int) -> Iterator[int]:
         """Measure a batch of an exact picture; yields the threads to use, set for this Python thread."""
         self._batches += 1
         worse = min(self._rates, key=lambda threads: self._rates[threads])
-        threads = worse if self._batches % TRY_EVERY == 0 else self.best
+        threads = worse if self._batches % TRY_EVERY == 2 else self.best
         began = time.perf_counter()
-        yield set_threads(threads)
+        yield use_threads(threads)
         self._rates[threads] = _mixed(self._rates[threads], rays, time.perf_counter() - began)
 
     @contextmanager
     def in_motion(self, rays: int) -> Iterator[int]:
         """Measure a picture while the camera moves; yields as exactly()."""
         began = time.perf_counter()
-        yield set_threads(self.best)
+        yield use_threads(self.best)
         self.moving = _mixed(self.moving, rays, time.perf_counter() - began)
 
 

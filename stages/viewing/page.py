@@ -2,15 +2,17 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from schemas.errors import StylerfError
-from stages.viewing.cameras import Pose
-from stages.viewing.commands import as_text
+from stages.viewing.cameras import Pose, level_up
+from stages.viewing.commands import COMMAND_WIDTH, wrapped
 from stages.viewing.desk import Desk
+from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
 from stylerf.errors import InvalidValue
 from stylerf.geometry.camera_paths import average_up, focus_point
@@ -35,6 +37,7 @@ class Page:
         self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
+        self._splats: dict[int, MovingSplats] = {}
         server.gui.configure_theme(
             control_width="large",
             show_logo=False,
@@ -53,7 +56,7 @@ class Page:
             with tabs.add_tab(title):
                 panel.add(self)
         server.on_client_connect(self._opened)
-        server.on_client_disconnect(lambda client: desk.painter.close(client.client_id))
+        server.on_client_disconnect(self._closed)
 
     def _aim(self) -> None:
         """Set the camera that a page opens with: the first training view, turning around what the cameras look at."""
@@ -67,15 +70,17 @@ class Page:
         start = self.server.initial_camera
         start.position = first.center
         start.look_at = first.center + first.forward * away
-        start.up = -first.world_from_camera[:3, 1]
+        start.up = level_up(self.up, first.world_from_camera)
         start.fov = 2 * float(np.arctan(first.height / 2 / first.fy))
-        self.away = away
+        self.away, self._first = away, first
+
+    def _start_pose(self, aspect: float) -> Pose:
+        """Return the pose that a page opens with."""
+        return replace(Pose.of(self._first, aspect), fov=float(self.server.initial_camera.fov))
 
     # -- for the panels ------------------------------------------------------------------------------------------------
 
-    def act(
-        self, action: Callable[..., object], then: Callable[[], object] = lambda: None
-    ) -> Callable[[Any], None]:
+    def act(self, action: Callable[..., object], then: Callable[[], object] = lambda: None) -> Callable[[Any], None]:
         """Return a callback that does `action` with the event, `then` whatever comes of it, and tells of errors."""
 
         def do(event: Any) -> None:
@@ -107,67 +112,98 @@ class Page:
 
         x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat()
         with client.atomic():
-            client.camera.up_direction = -pose[:3, 1]
             client.camera.wxyz = np.array([w, x, y, z])
             client.camera.position = pose[:3, 3]
             client.camera.look_at = pose[:3, 3] + pose[:3, 2] * self.away
+            client.camera.up_direction = level_up(self.up, pose)
             if fov is not None:
                 client.camera.fov = fov
 
     def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
         """Show the command of an action, or why there is none."""
         try:
-            handle.content = f"```sh\n{as_text(make())}\n```"
+            handle.content = f"```sh\n{wrapped(make(), COMMAND_WIDTH)}\n```"
         except (StylerfError, ValueError) as error:
             handle.content = f"*{_plain(str(error))}*"
 
     def changed(self) -> None:
         """Bring lists and progress up to date."""
-        run = self.desk.run
+        run = self.desk.runs.present
         if run is None:
             self.status.content = ""
         else:
             state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
-            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(run.last)[:160]}`"
+            self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self.within(run.last))[:160]}`"
         for one in self.rest:
             one()
+        if run is not None and run.code is not None:
+            self.show_splats()
+
+    def within(self, text: str) -> str:
+        """Return text with paths in the work folder relative to it."""
+        root = self.desk.library.work.root
+        return text.replace(f"{root.resolve()}/", "").replace(f"{root}/", "")
 
     # -- pages that come and go ----------------------------------------------------------------------------------------
 
     def _opened(self, client: Any) -> None:
         desk, page = self.desk, client.client_id
+        self._splats[page] = splats = MovingSplats(client, desk.display)
         if len(self.server.get_clients()) > 1:
             self.tell("another page of this viewer is open; both show and change the same things")
 
         def send(picture: np.ndarray, exact: bool, stride: int) -> None:
             if page not in self.server.get_clients():
                 return  # closed while this was painted
-            quality = JPEG_EXACT if stride == 1 and exact else JPEG_MOVING
-            client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
+            if splats.shown and not exact:
+                return  # they are better than a picture of a part of the pixels
+            quality = JPEG_EXACT if exact else JPEG_MOVING
+            with client.atomic():
+                client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
+                splats.end()
             client.flush()
 
         desk.painter.open(page, send)
+        desk.display.refresh()
 
-        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own.
+        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own. A picture of
+        # ours is there before it does.
         opening, settled = self.pose_of(client), threading.Event()
+        if opening.sound():
+            desk.painter.move(page, self._start_pose(opening.aspect))
 
         @client.camera.on_update
         def _(camera: Any) -> None:
             pose = self.pose_of(client)
             if pose.sound() and (settled.is_set() or pose != opening):
+                moved = settled.is_set()
                 settled.set()
-                desk.painter.move(page, pose)
+                desk.painter.move(page, pose, moved and splats.begin())
 
         def settle() -> None:
             if not settled.is_set() and opening.sound():
                 settled.set()
                 desk.painter.move(page, self.pose_of(client))
 
-        desk.refresh()
-        desk.prepare()
+        desk.preparation.start()
+        threading.Thread(target=splats.load, name="splats", daemon=True).start()
         timer = threading.Timer(SETTLED_SECONDS, settle)
         timer.daemon = True
         timer.start()
+
+    def _closed(self, client: Any) -> None:
+        self.desk.painter.close(client.client_id)
+        self._splats.pop(client.client_id, None)
+
+    def show_splats(self, wanted: bool | None = None) -> None:
+        """Bring every page's splats up to date.
+
+        Args:
+            wanted: whether they are shown while the camera moves; None: as before.
+        """
+        for one in list(self._splats.values()):
+            one.wanted = one.wanted if wanted is None else wanted
+            threading.Thread(target=one.load, name="splats", daemon=True).start()
 
     def show_frusta(self, visible: bool) -> None:
         """Show or hide the scene's cameras with their photos; a click on one goes there."""

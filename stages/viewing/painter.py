@@ -12,23 +12,18 @@ from functools import partial
 import numpy as np
 
 from stages.viewing.cameras import FEWEST_PIXELS, Pose
-from stages.viewing.pace import Pace
+from stages.viewing.pace import MOST_RAYS, Pace, use_threads
+from stages.viewing.pictures import Mixtures, Painted, Quality, render
 from stages.viewing.shown import Shown, picture_of
 from stylerf.fields.marching import ScratchArena
-from stylerf.geometry.cameras import Camera
-from stylerf.rendering.interlaced import (
-    coarsest_within,
-    in_batches,
-    interlaced,
-    render_pixels,
-    spread_out,
-)
+from stylerf.rendering.interlaced import coarsest_within, in_batches, interlaced, spread_out
 
 REST_SECONDS = 0.12  # without a new pose, after which the camera rests
 FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
 LOADING_RAYS = 16  # that load the kernels
-RAYS_AT_ONCE = 4096  # between looks at whether the picture is still wanted
-MOVING_TRANSMITTANCE = 1e-2  # where rays end while the camera moves; exact pictures use the engine's own
+BATCH_SECONDS = 0.08  # between looks at whether the picture is still wanted
+MOVING = Quality(min_transmittance=1e-2, steps=2.0)  # while the camera moves
+SLOW_SECONDS = 0.1  # that recoloring a picture may take with all of its pixels; of a quarter of them else
 FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
 
 
@@ -41,6 +36,8 @@ class Wanted:
         pose, shown: None until known.
         changed: When either changed, on the painter's clock.
         painted: What was painted last, as (version, 0 while moving, 1 when exact).
+        exact: The exact picture of what is wanted, once it is there.
+        kept: The last exact picture, to be recolored.
     """
 
     send: Callable[[np.ndarray, bool, int], None]
@@ -50,6 +47,7 @@ class Wanted:
     version: int = 0
     painted: tuple[int, int] = (-1, 0)
     exact: np.ndarray | None = field(default=None, repr=False)
+    kept: Painted | None = field(default=None, repr=False)
 
 
 class Painter:
@@ -78,6 +76,7 @@ class Painter:
         self._ended = False
         self._loading: Callable[[], object] = lambda: None
         self._arena = ScratchArena()
+        self._thinned = 1  # stride of recolored pixels
         self.pace = Pace(threads)
         self._thread = threading.Thread(target=self._work, name="painter", daemon=True)
 
@@ -89,7 +88,7 @@ class Painter:
         """
         if first is not None and pose is not None and pose.sound():
             camera = pose.camera(FEWEST_PIXELS)
-            self._loading = partial(self._render, camera, first, np.arange(LOADING_RAYS), 1)
+            self._loading = partial(render, camera, first, np.arange(LOADING_RAYS), 1, self._arena)
         self._thread.start()
 
     def stop(self) -> None:
@@ -110,13 +109,15 @@ class Painter:
         with self._ready:
             self._pages.pop(page, None)
 
-    def move(self, page: int, pose: Pose) -> None:
-        """Take note of where a page's camera is."""
+    def move(self, page: int, pose: Pose, drawn: bool = False) -> None:
+        """Take note of where a page's camera is. drawn: the page draws by itself what is seen as it moves."""
         with self._ready:
             wanted = self._pages.get(page)
             if wanted is not None and wanted.pose != pose:
                 wanted.pose = pose
                 self._touch(wanted)
+                if drawn:
+                    wanted.painted = (wanted.version, 0)
 
     def show(self, shown: Shown | None) -> None:
         """Show something else, on every page; None: nothing."""
@@ -191,11 +192,25 @@ class Painter:
         return max(0.005, min(moving) + REST_SECONDS - self._clock()) if moving else None
 
     def _paint_moving(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
+        if wanted.kept is not None and wanted.kept.recolors_to(pose, shown):
+            use_threads(1)  # short steps: a second thread is waited for longer than it helps
+            began = time.perf_counter()
+            wanted.send(wanted.kept.recolored(shown, self._thinned), False, 1)
+            seconds = time.perf_counter() - began
+            self._thinned = 2 if seconds > SLOW_SECONDS else 1 if seconds < SLOW_SECONDS / 8 else self._thinned
+            with self._ready:
+                wanted.painted = (version, 0)
+            return
         camera = pose.camera(min(self.pace.moving / self._fps * FEWER, self._exact_pixels))
         pixels = np.arange(camera.width * camera.height)
         with self.pace.in_motion(len(pixels)) as threads:
-            rendered = self._render(camera, shown, pixels, threads, MOVING_TRANSMITTANCE)
-        out = rendered.reshape(camera.height, camera.width, 6)
+            rendered = [  # in batches: each ray takes pages of its own in every array of its samples
+                render(camera, shown, batch, threads, self._arena, MOVING)
+                for batch in in_batches(pixels, MOST_RAYS, lambda: self._ended)
+            ]
+        if self._ended:
+            return
+        out = np.concatenate(rendered).reshape(camera.height, camera.width, 6)
         wanted.send(picture_of(shown, camera, out), False, 1)
         with self._ready:
             wanted.painted = (version, 0)
@@ -204,6 +219,9 @@ class Painter:
         camera = pose.camera(self._exact_pixels)
         count = camera.width * camera.height
         out = np.zeros((count, 6), np.float32)
+        # A picture that was recolored is better than a coarse one: nothing is sent before the exact one.
+        recolored = wanted.kept if wanted.kept is not None and wanted.kept.recolors_to(pose, shown) else None
+        mixtures = None if recolored else Mixtures.room_for(camera, shown)
 
         def stopped() -> bool:
             return wanted.version != version or self._ended
@@ -211,11 +229,13 @@ class Painter:
         for stride, pixels in interlaced(
             camera.width, camera.height, coarsest_within(count, self.pace.rate * FIRST_PASS_SECONDS)
         ):
-            for batch in in_batches(pixels, RAYS_AT_ONCE, stopped):
+            for batch in in_batches(pixels, self.pace.rays_within(BATCH_SECONDS), stopped):
                 with self.pace.exactly(len(batch)) as threads:
-                    out[batch] = self._render(camera, shown, batch, threads)
+                    out[batch] = render(camera, shown, batch, threads, self._arena, mixtures=mixtures)
             if stopped():
                 return
+            if recolored and stride > 1:
+                continue
             grid = spread_out(out.reshape(camera.height, camera.width, 6), stride)
             picture = picture_of(shown, camera, grid)
             with self._ready:
@@ -223,23 +243,5 @@ class Painter:
                     return
                 if stride == 1:
                     wanted.painted, wanted.exact = (version, 1), picture
+                    wanted.kept = Painted(pose, shown, camera, grid, recolored.mixtures if recolored else mixtures)
             wanted.send(picture, stride == 1, stride)
-
-    def _render(
-        self, camera: Camera, shown: Shown, pixels: np.ndarray, threads: int, min_transmittance: float = 1e-3
-    ) -> np.ndarray:
-        """Render pixels [n] of either side of the wipe: [n, 6]."""
-        out = np.empty((len(pixels), 6), np.float32)
-        right = pixels % camera.width >= shown.boundary(camera.width)
-        for source, which in ((shown.left, ~right), (shown.right, right)):
-            if source is not None and which.any():
-                out[which] = render_pixels(
-                    source.field,
-                    camera,
-                    pixels[which],
-                    threads=threads,
-                    min_transmittance=min_transmittance,
-                    marked=shown.marked,
-                    arena=self._arena,
-                )
-        return out

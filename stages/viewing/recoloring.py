@@ -28,9 +28,7 @@ class Swatch:
 
 def swatches(artifact: Artifact) -> list[Swatch]:
     """Return the palette of a field or an edit, the largest share first."""
-    return [
-        Swatch(one["index"], one["name"], one["now"], float(one["share"])) for one in palette_entries(artifact)
-    ]
+    return [Swatch(one["index"], one["name"], one["now"], float(one["share"])) for one in palette_entries(artifact)]
 
 
 def field_changes(artifact: Artifact, color: ColorPart, config: PaletteConfig) -> PaletteEdits:

@@ -8,6 +8,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from schemas.errors import UsageError
+from stages.viewing.commands import script_of
+
 # Without -P, `-m` imports from the current folder first, whose files may be untrusted.
 PROGRAM = (sys.executable, "-P", "-m", "stylerf_cli.main")
 KEPT_LINES = 200
@@ -82,3 +85,59 @@ class Run:
         self._process.stdout.close()
         self.code = self._process.wait()
         self._ended(self)
+
+
+class Runs:
+    """The commands of a session, one at a time.
+
+    Attributes:
+        present: The last that was started, None before the first.
+        commands: All of them, for the session's script.
+    """
+
+    def __init__(self, common: Sequence[str] = (), changed: Callable[[], None] = lambda: None) -> None:
+        """Begin without any.
+
+        Args:
+            common: arguments that every command gets, such as --threads 2.
+            changed: called when runs have begun, spoken or ended.
+        """
+        self._common, self._changed, self._lock = common, changed, threading.RLock()
+        self.present: Run | None = None
+        self.commands: list[list[str]] = []
+
+    def start(self, arguments: list[str], ended: Callable[[Run], None] = lambda run: None) -> Run:
+        """Run a command, and note it for the session's script.
+
+        Raises:
+            UsageError: another one is still running.
+        """
+        with self._lock:
+            if self.present is not None and self.present.code is None:
+                verb = self.present.arguments[0]
+                raise UsageError(f"`stylerf {verb}` is still running; stop it, or wait for its end")
+            if arguments not in self.commands[-1:]:
+                self.commands.append(arguments)
+
+            def end(run: Run) -> None:
+                self._changed()
+                ended(run)
+
+            self.present = Run(arguments, self._common, lambda run: self._changed(), end)
+            self._changed()
+            return self.present
+
+    def stop(self) -> None:
+        """Interrupt the present one; the same command resumes it."""
+        if self.present is not None:
+            self.present.stop()
+
+    def close(self) -> None:
+        """Interrupt the present one and wait for its checkpoint."""
+        if self.present is not None and self.present.code is None:
+            self.present.stop()
+            self.present.wait()
+
+    def script(self) -> str:
+        """Return the session's commands as a shell script."""
+        return script_of(self.commands)

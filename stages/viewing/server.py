@@ -49,6 +49,7 @@ class Viewer:
         viser = _viser()
         from stages.viewing.cameras import Pose
         from stages.viewing.desk import Desk
+        from stages.viewing.display import Choice
         from stages.viewing.page import Page
         from stages.viewing.painter import Painter
         from stages.viewing.shown import Shown
@@ -68,7 +69,7 @@ class Viewer:
                 failed=lambda error: say(f"a picture could not be rendered: {error}"),
             )
             self.desk = desk = Desk(library, self._painter, threads, say, self._changed, common)
-            desk.field = first
+            desk.display.choice = Choice(first)
             here = config.host in HERE
             guard = Guard("" if here else new_token())
             _check_port(config)
@@ -82,7 +83,7 @@ class Viewer:
             query = f"/?token={guard.token}" if guard.token else ""
             self.url = f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}{query}"
             self.page: Any = Page(self._server, desk)
-            desk.said = self.page.tell
+            desk.preparation.say = self.page.tell
             self._painter.start(Shown(library.source(first)), Pose.of(like, 1.5))
         except BaseException:
             self._lock.release()

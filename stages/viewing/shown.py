@@ -9,6 +9,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture
 
 PLANES = ("color", "depth", "alpha", "displacement", "mask")
+WITH_DISTANCE = ("depth", "displacement")  # planes that show where rays end
 TINT = np.array([1.0, 0.1, 0.8], np.float32)  # of marked cells, as in the previews of `stylerf select`
 TINT_SHARE = 0.55
 
@@ -40,6 +41,16 @@ class Shown:
     plane: str = "color"
     marked: np.ndarray | None = field(default=None, repr=False)
 
+    def differs_by_colors(self, other: "Shown") -> bool:
+        """Whether the same density is shown in the same way."""
+        return (
+            self.left.field.density is other.left.field.density
+            and self.left.level == other.left.level
+            and self.right is other.right
+            and (self.wipe, self.plane) == (other.wipe, other.plane)
+            and self.marked is other.marked
+        )
+
     def boundary(self, width: int) -> int:
         """Return the first column of the right field."""
         return width if self.right is None else round(np.clip(self.wipe, 0, 1) * width)
@@ -68,7 +79,7 @@ def _plane(shown: Shown, source: Source, camera: Camera, out: np.ndarray) -> np.
         return depth_picture(out[..., 4] * camera.ray_cosines() * (alpha > 0), alpha)
     if shown.plane in ("alpha", "mask"):
         gray = alpha if shown.plane == "alpha" else inside
-        return _bytes(np.repeat(gray[..., None], 3, 2))
+        return bytes_of(np.repeat(gray[..., None], 3, 2))
     if shown.plane == "displacement":
         if source.field.displacement is None:
             return np.zeros((*alpha.shape, 3), np.uint8)
@@ -79,8 +90,9 @@ def _plane(shown: Shown, source: Source, camera: Camera, out: np.ndarray) -> np.
     rgb = out[..., :3] + (1 - alpha[..., None]) * np.float32(source.level)
     if shown.marked is not None:
         rgb = rgb * (1 - TINT_SHARE * inside[..., None]) + TINT_SHARE * inside[..., None] * TINT
-    return _bytes(rgb)
+    return bytes_of(rgb)
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
+def bytes_of(values: np.ndarray) -> np.ndarray:
+    """Return sRGB values 0..1 as uint8."""
     return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

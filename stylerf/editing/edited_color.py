@@ -1,6 +1,9 @@
 """The color of a field under a local edit that is not trained into it yet."""
 
+from collections.abc import Callable
+
 import numpy as np
+import torch
 
 from stylerf.editing.edit_grid import cells_of_points
 from stylerf.editing.palette_module import DEGREE, PaletteModule
@@ -34,6 +37,22 @@ class EditedColor:
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
         """Return colors [n, 3] in 0..1 of samples; -1 in the first channel where one has none."""
+        return self.observed(points, basis, threads, lambda index, rays, mixture: None, arena)
+
+    def observed(
+        self,
+        points: ShadingPoints,
+        basis: np.ndarray,
+        threads: int,
+        seen: Callable[[np.ndarray, np.ndarray, Callable[[], np.ndarray]], None],
+        arena: ScratchArena | None = None,
+    ) -> np.ndarray:
+        """Do as colors(), and show what those of the region were mixed of.
+
+        Args:
+            seen: called with the points in marked cells, the ray of each, and a function that returns their mixtures
+                [n, mixture_width] before the changes, whose means remixed() takes: weights and offset.
+        """
         bands = (getattr(self._base, "degree", 0) + 1) ** 2
         out = self._base.colors(points, np.ascontiguousarray(basis[:, :bands]), threads, arena)
         packed = Packed.colored(points, out, threads)
@@ -42,4 +61,24 @@ class EditedColor:
         if len(index):
             found = self._module.mixture_of(points.x[index], basis[packed.ray[inside]], threads)
             out[index] = self._module.edited(found, self._changes)
+            seen(index, packed.ray[inside], lambda: np.concatenate([found.weights.numpy(), found.offsets.numpy()], 1))
         return out
+
+    @property
+    def mixture_width(self) -> int:
+        """Numbers of a mixture."""
+        return len(self._module.palette) + 3
+
+    def mixes_as(self, other: object) -> bool:
+        """Whether another color has the same mixtures at the same places, whatever the changes."""
+        return (
+            isinstance(other, EditedColor)
+            and other._base is self._base
+            and other._module is self._module
+            and other._marked is self._marked
+        )
+
+    def remixed(self, mixtures: np.ndarray) -> np.ndarray:
+        """Return the colors [n, 3] of mean mixtures [n, mixture_width] after the changes: of points alike, exact."""
+        weights, offsets = torch.from_numpy(mixtures).tensor_split([mixtures.shape[1] - 3], 1)
+        return self._module.edited(self._module.mixed(weights, offsets), self._changes)

@@ -188,6 +188,11 @@ class PaletteModule(PaletteEvaluator):
             return Mixture(torch.zeros(0, len(self.palette)), torch.zeros(0, 3), torch.zeros(0, 3))
         return Mixture(*(torch.cat([getattr(p, n) for p in parts]) for n in ("weights", "offsets", "colors")))
 
+    def mixed(self, weights: Tensor, offsets: Tensor) -> Mixture:
+        """Return the mixture of weights [n, A] and offsets [n, 3]."""
+        palette = torch.from_numpy(self.values[: 3 * len(self.active)].reshape(-1, 3)[self.active])
+        return Mixture(weights, offsets, (weights @ palette + offsets).clamp(0, 1))
+
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:

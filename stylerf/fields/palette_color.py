@@ -11,8 +11,9 @@ Its heads (section 4). With phi the features of a place and Y the harmonics of a
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -180,9 +181,8 @@ class PaletteColor:
         palette, numbers = rest[: 3 * self.bases], rest[3 * self.bases :]
         return self.head.parts(numbers, phi, basis, apart), palette.clone().view(-1, 3)
 
-    def _shown(self, rest: "Tensor", phi: "Tensor", basis: "Tensor", x: np.ndarray) -> "Tensor":
+    def _shown(self, parts: Parts, palette: "Tensor", x: np.ndarray) -> "Tensor":
         """[n, 3] in 0..1."""
-        parts, palette = self.parts(rest, phi, basis)
         if not self.edits:
             return (parts.mixed(palette) + parts.specular).clamp(0, 1)
         mixture = parts.weights, parts.offsets, parts.intensity, parts.specular
@@ -191,6 +191,22 @@ class PaletteColor:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
+        return self.observed(points, basis, threads, lambda index, rays, mixture: None, arena)
+
+    def observed(
+        self,
+        points: ShadingPoints,
+        basis: np.ndarray,
+        threads: int,
+        seen: Callable[[np.ndarray, np.ndarray, Callable[[], np.ndarray]], None],
+        arena: ScratchArena | None = None,
+    ) -> np.ndarray:
+        """Do as colors(), and show what they were mixed of.
+
+        Args:
+            seen: called with points that got a color, the ray of each, and a function that returns their mixtures
+                [n, mixture_width] before `edits`, whose means remixed() takes: w_i, w_i I (P_i + delta_i), s, x.
+        """
         import torch
 
         out, rest, x = uncolored(points, threads, arena), torch.from_numpy(self.rest), points.x
@@ -199,9 +215,33 @@ class PaletteColor:
             index, rays = packed.index[at : at + POINTS_AT_ONCE], packed.ray[at : at + POINTS_AT_ONCE]
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads))
             with torch.no_grad():
-                shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
-            out[index] = shown.numpy()
+                parts, palette = self.parts(rest, phi, torch.from_numpy(basis[rays]))
+                out[index] = self._shown(parts, palette, x[index]).numpy()
+            seen(index, rays, partial(_mixtures, parts, palette, x[index]))
         return out
+
+    @property
+    def mixture_width(self) -> int:
+        """Numbers of a mixture."""
+        return 4 * self.bases + 6
+
+    def mixes_as(self, other: object) -> bool:
+        """Whether another color has the same mixtures, whatever its edits."""
+        return isinstance(other, PaletteColor) and other.values is self.values
+
+    def remixed(self, mixtures: np.ndarray) -> np.ndarray:
+        """Return the colors [n, 3] of mean mixtures [n, mixture_width] after the edits.
+
+        Exact for a single point; of several the mean is edited instead of each, which bends hues where they differ.
+        """
+        import torch
+
+        mixed = torch.from_numpy(mixtures)
+        weights, bases, specular = mixed.split([self.bases, 3 * self.bases, 6], 1)
+        apart = bases.reshape(len(mixed), self.bases, 3) / weights.clamp_min(1e-6)[..., None]
+        palette, one = torch.from_numpy(self.palette), torch.ones(len(mixed), 1)
+        colors = recolored(weights, apart - palette, one, specular[:, :3], palette, self.edits, mixtures[:, -3:])
+        return colors.clamp(0, 1).numpy()
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
         packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
@@ -225,7 +265,7 @@ class PaletteColor:
             index, rays = packed.index[part], packed.ray[part]
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
-            shown = self._shown(rest, phi, torch.from_numpy(basis[rays]), x[index])
+            shown = self._shown(*self.parts(rest, phi, torch.from_numpy(basis[rays])), x[index])
             of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(color_gradients[index]))
             gradients[part] = of_phi.numpy()
             own += of_rest.numpy()
@@ -243,3 +283,9 @@ class PaletteColor:
         edits = [Recoloring.restore(edit) for edit in validation.entry(data, "edits", list)]
         features = HashFeatures.restore(validation.entry(data, "features"))
         return cls(features, validation.integer(data, "bases", 1, MOST_BASES), values, edits)
+
+
+def _mixtures(parts: Parts, palette: "Tensor", x: np.ndarray) -> np.ndarray:
+    """Return [n, 4 bases + 6]; see PaletteColor.observed."""
+    bases = parts.weights[..., None] * parts.intensity[..., None] * (palette + parts.offsets)
+    return np.concatenate([parts.weights.numpy(), bases.flatten(1).numpy(), parts.specular.numpy(), x], 1)

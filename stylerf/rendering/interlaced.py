@@ -20,6 +20,7 @@ def render_pixels(
     min_transmittance: float = 1e-3,
     marked: np.ndarray | None = None,
     arena: ScratchArena | None = None,
+    distances: bool = True,
 ) -> np.ndarray:
     """Render some pixels of a view, to the same bits as render_view.
 
@@ -28,6 +29,7 @@ def render_pixels(
         min_transmittance: a ray ends once its transmittance falls below this.
         marked: cells [s, s, s] bool of a region; None: no region.
         arena: memory of the samples, reset here.
+        distances: whether surface distances are computed; 0 else.
 
     Returns:
         [n, 6] float32: premultiplied rgb (sRGB-encoded), alpha, surface distance (scene units), the part of alpha that
@@ -42,7 +44,10 @@ def render_pixels(
         arena=arena.reset() if arena else None,
     )
     out = np.zeros((len(pixels), 6), np.float32)
-    out[:, :5] = with_surface_distance(rendered, threads)
+    if distances:
+        out[:, :5] = with_surface_distance(rendered, threads)
+    else:
+        out[:, :4] = rendered.out[:, :4]
     if marked is not None:
         out[:, 5] = alpha_inside(marked, rendered.samples, threads)
     return out
@@ -84,4 +89,3 @@ def in_batches(pixels: np.ndarray, size: int, stopped: Callable[[], bool]) -> It
         if stopped():
             return
         yield pixels[at : at + size]
-

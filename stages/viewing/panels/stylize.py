@@ -1,11 +1,12 @@
 """Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from stages.viewing.desk import EDIT_MARK
+from stages.viewing.recolorer import EDIT_MARK
 from stages.viewing.styles import METHODS, Wish
 
 SHOWN = 320  # pixels of the painting's longer side on the page
@@ -14,18 +15,18 @@ WHOLE = "(whole scene)"
 
 def add(page: Any) -> None:
     """Add the panel's controls."""
-    gui, desk = page.gui, page.desk
+    gui, desk, stylizer = page.gui, page.desk, page.desk.stylizer
     state: dict[str, Any] = {"image": None}
     upload = gui.add_upload_button("Choose a painting", mime_type="image/*")
     painting = gui.add_image(np.full((8, 8, 3), 40, np.uint8), label="No painting yet")
     zoom = gui.add_slider("Zoom", 1.0, 8.0, 0.1, 1.0)
     across = gui.add_slider("Across", 0.0, 1.0, 0.01, 0.5)
     down = gui.add_slider("Down", 0.0, 1.0, 0.01, 0.5)
-    where = gui.add_dropdown("Where", [WHOLE, *desk.library.regions(desk.field)])
+    where = gui.add_dropdown("Where", [WHOLE, *desk.library.regions(desk.display.field)])
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
-    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m), or a number of style steps")
+    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m); of the whole scene also a number of style steps")
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
@@ -59,10 +60,10 @@ def add(page: Any) -> None:
         )
 
     def tell() -> None:
-        page.show_command(shown, lambda: desk.stylize_command(wish("PAINTING.png" if part() is not None else "")))
+        page.show_command(shown, lambda: stylizer.command(wish("PAINTING.png" if part() is not None else "")))
 
     def listing() -> None:
-        regions = [WHOLE, *desk.library.regions(desk.field)]
+        regions = [WHOLE, *desk.library.regions(desk.display.field)]
         if tuple(where.options) != tuple(regions):
             where.options = regions
         tell()
@@ -80,15 +81,17 @@ def add(page: Any) -> None:
         found = part()
         style = "" if found is None else str(kept(found, desk.library.own / "styles"))
         region = "" if where.value == WHOLE else where.value
-        started = desk.start(desk.stylize_command(wish(style)), partial(finished, region, name.value))
+        started = desk.runs.start(
+            stylizer.command(wish(style)), partial(finished, region, name.value, desk.showing_its_field())
+        )
         if name.value:
-            desk.watch(started, name.value, region)
+            stylizer.watch(started, name.value, region)
 
-    def finished(region: str, edit: str, run: Any) -> None:
+    def finished(region: str, edit: str, show: Callable[[Any], None], run: Any) -> None:
         if region and run.code == 0 and edit:
-            desk.open_palette(EDIT_MARK + edit)
+            desk.recolorer.open(EDIT_MARK + edit)
         elif not region:
-            desk.show_newest(run)
+            show(run)
 
     page.rest.append(listing)
     upload.on_upload(page.act(taken))
@@ -97,6 +100,6 @@ def add(page: Any) -> None:
     for one in (where, method, strength, stroke, budget, name):
         one.on_update(lambda event: tell())
     run.on_click(page.act(begun))
-    stop.on_click(page.act(lambda event: desk.stop()))
-    keep.on_click(page.act(lambda event: desk.keep(desk.show_newest)))
+    stop.on_click(page.act(lambda event: desk.runs.stop()))
+    keep.on_click(page.act(lambda event: stylizer.keep(desk.showing_its_field())))
     tell()

@@ -19,7 +19,7 @@ from stylerf.fields.protocol import ColorPart
 from stylerf.geometry.cameras import evenly_spaced
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
-from stylerf.training.stylize.settings import StyleSettings
+from stylerf.training.stylize.settings import REFIT, StyleSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
 SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is extracted from
@@ -196,7 +196,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
                 color.features.backward(color.table, x, np.arange(len(x)), gradients, to)
         assert seen.rest.grad is not None
         own = seen.rest.grad.numpy()
-        if self.scene.budget.progress < RELEASE or self.scene.state.phase == "refit":
+        if self.scene.budget.progress < RELEASE or self.scene.state.phase == REFIT:
             # The palette stays as extracted until the mixing weights fit it (PaletteNeRF).
             own[: 3 * color.bases] = 0
         to[0, color.features.length :] += own

@@ -26,7 +26,7 @@ from stylerf.style.style_loss import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import ViewLoss, ViewStep
 from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match
-from stylerf.training.stylize.settings import RefNprSettings
+from stylerf.training.stylize.settings import STYLE, RefNprSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
 LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
@@ -58,7 +58,7 @@ class ReferenceBudget(PhaseBudget):
         s, phase = self.scene.settings, self.scene.state.phase
         if phase == "reference":
             return making
-        return max(1, s.steps - making) if phase == "style" and s.steps else super().steps
+        return max(1, s.steps - making) if phase == STYLE and s.steps else super().steps
 
     @property
     def progress(self) -> float:
@@ -66,7 +66,7 @@ class ReferenceBudget(PhaseBudget):
         if state.phase == "reference":
             done = state.step / self.steps
             return min(1.0, done if s.steps else max(done, state.seconds / (REFERENCE_SHARE * s.seconds)))
-        if state.phase != "style":
+        if state.phase != STYLE:
             return super().progress
         making = state.counts.get("painting_ms", 0) / 1000
         if s.steps:
@@ -102,7 +102,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         super().__init__(scene)
         self._images = dict(references)
         self.to_make = sorted(view for view, image in references.items() if image is None)
-        self.phases = ("reference", "style") if self.to_make else ("style",)
+        self.phases = ("reference", STYLE) if self.to_make else (STYLE,)
         self.budget = ReferenceBudget(scene, len(self.to_make))
         scene.budget = self.budget
         self._matching, self._coarse = matching_extractor, coarse_extractor
@@ -207,7 +207,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     def start_phase(self, spent: float) -> None:
         state = self.scene.state
-        if state.phase == "style" and self.to_make:
+        if state.phase == STYLE and self.to_make:
             # The phases share one budget: style goes on where the making of references stopped.
             state.seconds = spent
             if not self.scene.settings.steps:

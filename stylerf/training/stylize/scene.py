@@ -36,7 +36,14 @@ from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
-from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings, StyleSettings, StyleState
+from stylerf.training.stylize.settings import (
+    REFIT,
+    ArfSettings,
+    DesrfSettings,
+    ImageStyleSettings,
+    StyleSettings,
+    StyleState,
+)
 
 COLOR, FINEST = "color", "finest"  # arrays of a checkpoint: the new color's values, cells of its finest level
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
@@ -167,13 +174,13 @@ class PhaseBudget:
     def steps(self) -> int:
         """Steps of the present phase; 0 if time limits it."""
         settings = self.scene.settings
-        return settings.refit_steps if self.scene.state.phase == "refit" else settings.steps
+        return settings.refit_steps if self.scene.state.phase == REFIT else settings.steps
 
     @property
     def progress(self) -> float:
         """Fraction of the present phase that is done, 0..1."""
         s, state = self.scene.settings, self.scene.state
-        if state.phase == "refit":
+        if state.phase == REFIT:
             return min(1.0, state.step / max(1, s.refit_steps))
         return min(1.0, state.step / s.steps if s.steps else state.seconds / s.seconds)
 
@@ -253,7 +260,7 @@ class StyledScene(Generic[Settings_co]):
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
         color = self.field.color.own if isinstance(self.field.color, RegionColor) else self.field.color
-        if self.state.phase != "refit" and isinstance(self.settings, ArfSettings) and isinstance(color, HashColor):
+        if self.state.phase != REFIT and isinstance(self.settings, ArfSettings) and isinstance(color, HashColor):
             color.detail_rate = self.settings.detail_rate  # the refit learns the photos' detail in full
         return self.fixed.new_adam(self.settings.gradient_clip)
 
@@ -406,7 +413,7 @@ class StyledScene(Generic[Settings_co]):
         restore_moments({"adam": self.adam}, arrays)
         if self.deformer is None:
             return
-        if self.state.phase != "refit":
+        if self.state.phase != REFIT:
             self.start_moving()
         self.deformer.restore({k[7:]: v for k, v in arrays.items() if k.startswith("deform.")})
         if self._moving is not None:

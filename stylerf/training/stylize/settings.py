@@ -5,6 +5,7 @@ from typing import Self
 
 from stylerf.style.style_loss import StyleWeights
 
+REFIT, STYLE = "refit", "style"  # phases of a StyleState that every method has
 RATES = ("rate", "refit_rate", "deform_rate", "image_rate")
 
 
@@ -143,7 +144,7 @@ class RefNprSettings(ArfSettings):
 class StyleState:
     """Progress of a stylization. step, seconds: of the present phase. counts: a method's own counters."""
 
-    phase: str = "refit"
+    phase: str = REFIT
     step: int = 0
     seconds: float = 0.0
     curve: list[dict] = field(default_factory=list)

@@ -14,13 +14,13 @@ import numpy as np
 
 from stylerf.errors import Diverged
 from stylerf.training.stylize.scene import Settings_co, StyledScene
-from stylerf.training.stylize.settings import StyleSettings, StyleState
+from stylerf.training.stylize.settings import REFIT, STYLE, StyleSettings, StyleState
 
 
 class StyleMethod(Generic[Settings_co]):
     """A method: its phases after the refit, and a step of each. The trainer holds one; `scene` is what it changes."""
 
-    phases: tuple[str, ...] = ("style",)
+    phases: tuple[str, ...] = (STYLE,)
 
     def __init__(self, scene: StyledScene[Settings_co]) -> None:
         self.scene = scene
@@ -105,7 +105,7 @@ class StylizationTrainer:
 
     def __init__(self, method: StyleMethod, until: int = 0) -> None:
         self.method, self.scene, self._until = method, method.scene, until
-        self.phases = ("refit", *method.phases)
+        self.phases = (REFIT, *method.phases)
         self._guard = DivergenceGuard(self.scene.settings)
         self.between_steps = True
 
@@ -138,7 +138,7 @@ class StylizationTrainer:
             timed = False  # a process's first step of a phase compiles
             while self.scene.budget.progress < 1.0 and not self._reached:
                 begun, self.between_steps = time.perf_counter(), False
-                parts = self.method.refit_step() if self.state.phase == "refit" else self.method.step()
+                parts = self.method.refit_step() if self.state.phase == REFIT else self.method.step()
                 state = self.state
                 # Compiling would use up a short budget, and lower the rates of all later steps.
                 state.seconds += (time.perf_counter() - begun) * timed

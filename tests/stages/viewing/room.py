@@ -7,6 +7,7 @@ import numpy as np
 from schemas.work_folder import WorkFolder
 from stages.artifacts.edit import save_palette
 from stages.artifacts.field import save_field
+from stages.viewing.cameras import Pose
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.geometry.space_warp import SpaceWarp
 from tests.stages import evaluation_fixture as made
@@ -14,6 +15,7 @@ from tests.stylerf.small import field_of, vm_color
 
 PALETTE = np.float32([[0.8, 0.1, 0.1], [0.1, 0.6, 0.2], [0.1, 0.2, 0.8], [0.9, 0.8, 0.3]])
 SHARES = [0.1, 0.4, 0.2, 0.3]
+FRONT = Pose((1.0, 0.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.76, 4 / 3)
 
 
 def furnished(folder: Path) -> WorkFolder:

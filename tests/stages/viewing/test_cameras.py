@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from stages.viewing.cameras import Pose, pixel_at
+from stages.viewing.cameras import Pose, level_up, pixel_at
 from tests.stages.photo_room import walk
 
 
@@ -36,3 +37,27 @@ def test_places_outside_count_as_the_rim():
     camera = Pose((1, 0, 0, 0), (0, 0, 0), 0.9, 1.0).camera(10_000)
     assert pixel_at(camera, -1, -1) == 0 and pixel_at(camera, 2, 2) == camera.width * camera.height - 1
     assert pixel_at(camera, 0.5, 0.0) == camera.width // 2
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(20, 0), (-50, 0), (20, 8), (0, 30)])
+def test_turning_around_the_level_up_keeps_the_picture_and_the_horizon(pitch, roll):
+    """Looking along x, z up; Rodrigues: a turn around an axis keeps each vector's part along it."""
+    level = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # columns: right, down, forward
+    pose = np.eye(4)
+    pose[:3, :3] = level @ Rotation.from_euler("xz", [pitch, roll], degrees=True).as_matrix()
+    up = level_up(np.array([0.0, 0.0, 1.0]), pose)
+    right, above = pose[:3, 0], -pose[:3, 1]
+    assert np.linalg.norm(up) == pytest.approx(1) and up @ above > 0
+    assert up @ right == pytest.approx(0, abs=1e-12), "the picture does not roll"
+    if roll == 0:
+        np.testing.assert_allclose(up, [0, 0, 1], atol=1e-12)
+    assert up[2] >= above[2] - 1e-12, "no farther from the vertical than the picture's own"
+
+
+def test_a_camera_that_looks_down_or_stands_on_its_head_has_its_own_up():
+    for angle in (90, 180):
+        pose = np.eye(4)
+        level = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
+        axis = "x" if angle == 90 else "z"
+        pose[:3, :3] = level @ Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+        np.testing.assert_array_equal(level_up(np.array([0.0, 0.0, 1.0]), pose), -pose[:3, 1])

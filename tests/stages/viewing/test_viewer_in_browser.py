@@ -18,9 +18,11 @@ from PIL import Image
 from schemas.errors import ArtifactStale, OutOfResources
 from stages.configs.view import ViewConfig
 from stages.viewing.server import Viewer
+from tests.stages import evaluation_fixture as made
+from tests.stages import splat_scene
 from tests.stages.report.browser import CHROMIUM, Browser
 from tests.stages.viewing.room import furnished
-from tests.stages.viewing.tab import SOFTWARE_GL, Tab, until
+from tests.stages.viewing.tab import SOFTWARE_GL, Tab, page_of, until
 
 WIDTH, HEIGHT = 900, 600
 SHIFT = 8  # as DevTools counts modifiers
@@ -51,7 +53,7 @@ def tab(viewer, tmp_path_factory):
 @in_browser
 def test_a_picture_appears_and_moves_with_the_camera(viewer, tab):
     desk = viewer.desk
-    page = next(iter(desk.painter._pages))
+    page = page_of(desk)
     assert until(lambda: desk.painter.exact(page) is not None)
     exact = desk.painter.exact(page)
     h, w = (side // 3 for side in exact.shape[:2])
@@ -73,10 +75,10 @@ def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
     assert until(lambda: "nothing is selected" in tab.words())
     viewer.page.controls["pointer"].value = "click"
     box = tab.canvas()
-    page = next(iter(viewer.desk.painter._pages))
+    page = page_of(viewer.desk)
     tab.press(box["x"] + box["width"] * 0.4, box["y"] + box["height"] * 0.5)
-    assert until(lambda: viewer.desk.selected_cells > 0), tab.words()
-    assert until(lambda: f"{viewer.desk.selected_cells} cells selected" in tab.words())
+    assert until(lambda: viewer.desk.selector.cells > 0), tab.words()
+    assert until(lambda: f"{viewer.desk.selector.cells} cells selected" in tab.words())
     assert until(lambda: "stylerf select" in tab.words())
     assert until(lambda: viewer.desk.painter.exact(page) is not None)
     tab.choose("Undo")
@@ -86,18 +88,18 @@ def test_a_click_on_the_page_selects_what_it_shows(viewer, tab):
 
 @in_browser
 def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, tab):
-    desk = viewer.desk
-    page = next(iter(desk.painter._pages))
+    desk, history = viewer.desk, viewer.desk.selector.history
+    page = page_of(desk)
     box = tab.canvas()
     x, y = box["x"] + box["width"] * 0.35, box["y"] + box["height"] * 0.5
     pose = desk.painter.pose(page)
     for pointer, name in (("click", "at"), ("erase", "avoid")):
         viewer.page.controls["pointer"].value = pointer
         time.sleep(0.5)
-        before = len(getattr(desk.history.now, name))
+        before = len(getattr(history.now, name))
         tab.press(x, y, to=(x + 60, y + 20), modifiers=SHIFT)
-        assert until(lambda before=before, name=name: len(getattr(desk.history.now, name)) > before + 1), tab.words()
-    seeds = desk.history.now.at
+        assert until(lambda before=before, name=name: len(getattr(history.now, name)) > before + 1), tab.words()
+    seeds = history.now.at
     views = {view.name for view in desk.library.scene.views}
     assert len(seeds) > 2 and {seed.partition(":")[0] for seed in seeds} <= views
     assert desk.painter.pose(page) == pose, "a stroke leaves the camera alone"
@@ -105,13 +107,67 @@ def test_a_drag_with_shift_is_a_stroke_and_one_without_turns_the_camera(viewer, 
     viewer.page.controls["pointer"].value = "box"
     time.sleep(0.5)
     tab.press(x, y, to=(x + 60, y + 40), modifiers=SHIFT)
-    assert until(lambda: desk.history.now.box), tab.words()
+    assert until(lambda: history.now.box), tab.words()
     tab.press(x, y, to=(x + 60, y + 20))
     assert until(lambda: desk.painter.pose(page) != pose)
-    assert desk.history.now.at == seeds
+    assert history.now.at == seeds
     viewer.page.controls["pointer"].value = "look"
-    desk.clear_selection()
+    desk.selector.clear()
     assert tab.errors == []
+
+
+@in_browser
+def test_exported_splats_are_seen_while_the_camera_moves(viewer, tab):
+    desk, work = viewer.desk, viewer.desk.library.work
+    ball = splat_scene.ball()
+    ball["z"] += 3
+
+    def write(folder):
+        splat_scene.write_ply(folder / "splats.ply", ball)
+
+    config = {"kind": "splats", "units": "scene"}
+    field = work.get("field", "plain")
+    made.commit(work, "export", "plain-splats", "export", {"field": field}, write, config=config)
+    page = page_of(desk)
+    splats = viewer.page._splats[page]
+    viewer.page.show_splats()
+    assert until(lambda: splats._node is not None) and not splats.shown
+    seen, begin = [], splats.begin
+    splats.begin = lambda: (begin(), seen.append(splats.shown))[0]
+    box, pose = tab.canvas(), desk.painter.pose(page)
+    for plane, drawn in (("color", True), ("depth", False)):
+        desk.display.look(plane=plane)
+        assert until(lambda: desk.painter.exact(page) is not None)
+        seen.clear()
+        tab.press(box["x"] + 150, box["y"] + 300, to=(box["x"] + 190, box["y"] + 310))
+        assert until(lambda before=pose: desk.painter.pose(page) != before)
+        assert until(lambda: desk.painter.exact(page) is not None and not splats.shown)
+        assert any(seen) == drawn, "splats are colors alone"
+        pose = desk.painter.pose(page)
+    desk.display.look(plane="color")
+    viewer.page.show_splats(False)
+    seen.clear()
+    tab.press(box["x"] + 150, box["y"] + 300, to=(box["x"] + 190, box["y"] + 310))
+    assert until(lambda: desk.painter.pose(page) != pose) and not any(seen)
+    assert tab.errors == []
+
+
+@in_browser
+def test_a_palette_that_was_opened_elsewhere_shows_its_colors_and_changes(viewer, tab):
+    recolorer, controls = viewer.desk.recolorer, viewer.page.controls
+    tab.choose("Recolor")
+    recolorer.open("palette")
+    viewer.page.changed()
+    assert until(lambda: "bias" in tab.words()), tab.words()
+    assert controls["palette"].value == "palette"
+    controls["color 0"].value = (10, 20, 240)
+    assert until(lambda: recolorer.changes.colors == {0: "#0a14f0"})
+    assert until(lambda: "--palette '0=#0a14f0'" in tab.words()), tab.words()
+    tab.choose("Reset")
+    assert until(lambda: not recolorer.changes.config() and controls["color 0"].value != (10, 20, 240))
+    controls["palette"].value = "(none)"
+    assert until(lambda: "bias" not in tab.words())
+    assert recolorer.palette == "" and tab.errors == []
 
 
 def _drawn(viewer):

@@ -160,7 +160,8 @@ def test_gradients_of_an_edited_color_pass_through_the_edit():
     for seed in range(3):
         way = torch.randn(len(color.rest), generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
         below, above = (
-            color._shown(float64(color.rest) + step * way, phi, float64(basis[rays]), s.x[at]) for step in (-1e-7, 1e-7)
+            color._shown(*color.parts(float64(color.rest) + step * way, phi, float64(basis[rays])), s.x[at])
+            for step in (-1e-7, 1e-7)
         )
         expected = float(((above - below) * float64(gradients[at])).sum()) / 2e-7
         assert float(to[0, color.features.length :] @ way.numpy()) == pytest.approx(expected, rel=1e-4, abs=1e-4)

@@ -39,9 +39,7 @@ def test_all_passes_together_are_the_renderers_view(space):
     assert whole.alpha.max() > 0.1
     np.testing.assert_array_equal(out[:, :3].reshape(whole.rgb.shape), whole.rgb)
     np.testing.assert_array_equal(np.clip(out[:, 3], 0, 1).reshape(whole.alpha.shape), whole.alpha)
-    np.testing.assert_array_equal(
-        np.minimum(out[:, 5].reshape(whole.alpha.shape), whole.alpha), whole.masks["a"]
-    )
+    np.testing.assert_array_equal(np.minimum(out[:, 5].reshape(whole.alpha.shape), whole.alpha), whole.masks["a"])
 
 
 def test_a_grid_is_spread_to_the_whole_picture():
