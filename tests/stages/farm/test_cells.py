@@ -52,7 +52,7 @@ def test_a_block_that_lacks_a_method_ranks_none():
     assert {one.blocks for one in standings_of(cells_of(runs), BETTER) if one.column == "sifid"} == {1}
 
 
-def test_a_blurred_method_is_on_the_front_of_consistency_only_where_nothing_is_better_at_both():
+def test_blur_is_on_the_front_only_where_nothing_is_better_at_both():
     runs = [
         run("a", "painterly", 0, sifid=1.0, short_rmse=3.0), run("a", "blurred", 0, sifid=5.0, short_rmse=1.0),
         run("a", "worse", 0, sifid=5.0, short_rmse=3.0),

@@ -75,7 +75,7 @@ def test_how_images_are_compared_decides_on_edges_and_size(method, options, stru
         assert found.reference_feature_weights.structure == 0
 
 
-def test_shapes_of_captures_learn_faster_than_those_of_objects_unless_told():
+def test_shapes_of_captures_learn_faster_than_those_of_objects():
     rates = [settings_of(DesrfConfig(style="x"), 800, capture).deform_rate for capture in (True, False)]
     assert rates == [0.06, 0.024]
     assert settings_of(DesrfConfig(style="x", deform_rate=0.01), 800, True).deform_rate == 0.01

@@ -13,7 +13,7 @@ def test_commands_are_quoted_for_a_shell():
     assert shlex.split(script.splitlines()[2]) == ["stylerf", *arguments]
 
 
-def test_long_commands_are_wrapped_at_options_and_stay_the_same_to_a_shell():
+def test_long_commands_wrap_at_options_and_mean_the_same_to_a_shell():
     arguments = ["select", "my work", "--at", "a b:3,4", "--tolerance", "40", "--steps", "2", "--of", "plain"]
     text = wrapped(arguments, 30)
     lines = text.split("\n")

@@ -20,7 +20,7 @@ class Machine:
         return threads
 
 
-def test_exact_pictures_take_the_faster_number_of_threads_and_try_the_other_now_and_then(monkeypatch):
+def test_exact_pictures_take_the_faster_number_of_threads(monkeypatch):
     machine, measured = Machine(monkeypatch, one=0.1, all=0.5), Pace(4)
     used = [machine.paint(measured.exactly(4096)) for _ in range(4 * TRY_EVERY)]
     assert used[TRY_EVERY:].count(4) == 3 and measured.best == 1

@@ -24,7 +24,7 @@ def waited_for(found, seconds: float = 60.0) -> bool:
     return bool(found())
 
 
-def test_what_a_first_selection_needs_is_computed_once_while_the_page_rests(desk, monkeypatch):
+def test_what_selecting_needs_is_computed_once_while_the_page_rests(desk, monkeypatch):
     from stages.viewing.growing import Grower
 
     steps, plain = [], region_select.Sight.look

@@ -48,7 +48,7 @@ def test_a_recolored_picture_is_that_of_the_kept_field(desk):
     assert desk.recolorer.recolored(desk.library.source("palette")) is not None and not desk.recolorer.changes.config()
 
 
-def test_a_regions_palette_is_shown_on_the_region_alone_and_kept_with_its_options(desk):
+def test_a_regions_palette_shows_on_the_region_alone_and_is_kept(desk):
     work = desk.library.work
     scene, field = work.get("scene", "wall"), work.get("field", "plain")
     box = SelectConfig(box=(-1.0, -1.0, 2.0, 0.0, 1.0, 4.0), cells=32)

@@ -23,7 +23,7 @@ def ended(arguments: list[str], code: int) -> SimpleNamespace:
     return SimpleNamespace(arguments=arguments, code=code)
 
 
-def test_a_stopped_stylization_is_kept_by_the_same_command_until_its_steps(desk):
+def test_a_stopped_stylization_is_kept_by_the_same_command(desk):
     arguments = desk.stylizer.command(Wish("a.png", name="half"))
     for run in (None, ended(arguments, 0), ended(["render", "x"], 130), ended([*arguments, "--region", "a"], 130)):
         desk.runs.present = run

@@ -36,7 +36,7 @@ def recorded(color: Mixing, points: Samples) -> tuple[MixtureRecorder, np.ndarra
 
 
 @pytest.mark.parametrize("kind", [palettes, edited])
-def test_colors_are_the_parts_own_and_of_single_samples_those_after_a_change_too(kind):
+def test_pixels_of_single_samples_are_recolored_exactly(kind):
     points, color, changed = samples(3), kind(PaletteEdits()), kind(CHANGES)
     first = np.arange(len(points.ends))[points.ends > points.starts]
     points.weights[:] = 0

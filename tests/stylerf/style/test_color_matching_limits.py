@@ -71,7 +71,7 @@ def nearly_gray(count: int, hue: float) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("most", [2.0, 4.0])
-def test_no_axis_of_a_nearly_gray_scene_is_stretched_further_than_requested(most):
+def test_no_axis_of_a_grayish_scene_is_stretched_beyond_the_limit(most):
     content, painting = nearly_gray(4000, 0.01), picture(30, 30, 5)
     axes = torch.linalg.eigh(color_statistics(content)[1])[1]
     free = match_colors(content, painting.flatten(1).T)

@@ -356,7 +356,7 @@ def test_the_loss_in_a_wide_enough_window_equals_that_of_the_whole():
         assert part[name] == pytest.approx(whole[name], rel=1e-4), name
 
 
-def test_transport_is_small_for_the_style_image_and_ignores_what_has_no_weight(monkeypatch):
+def test_transport_is_small_for_the_style_image_and_skips_weight_zero(monkeypatch):
     painting = picture(HEIGHT, WIDTH, 1)
     made = TransportObjective(
         small_trunk("conv2"), painting, (HEIGHT, WIDTH), StyleWeights(1, 0, 0, 0), scale=1.0, diversity=0.5

@@ -90,7 +90,7 @@ def test_a_stylization_that_bends_learns_the_cpus_gradients_on_a_device(device, 
 
 
 @pytest.mark.slow
-def test_a_stylization_that_bends_runs_to_its_end_on_a_device_and_goes_on_upon_the_cpu(
+def test_a_bending_stylization_ends_on_a_device_and_resumes_on_the_cpu(
     device, coarse_walks, monkeypatch
 ):
     monkeypatch.setattr(deformer, "REFRESH_EVERY", 3)

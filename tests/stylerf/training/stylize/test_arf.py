@@ -48,7 +48,7 @@ def style_gradient(made: StylizationTrainer) -> np.ndarray:
     return found[0]
 
 
-def test_the_refit_learns_all_levels_alike_and_style_steps_the_fine_ones_slowly():
+def test_only_style_steps_learn_the_fine_levels_slowly():
     made = stylizer(detail_rate=0.1)
     rates = []
     made.run(lambda run: rates.append((run.state.phase, {factor for _, _, factor in run.scene.adam.groups})))
@@ -257,7 +257,7 @@ def test_with_a_deformation_shapes_move_and_a_weight_holds_them():
     assert moved[0.0][0] > 1.1 * moved[1e3][0] and moved[0.0][1] > 5 * moved[1e3][1] > 0
 
 
-def test_a_deforming_step_teaches_the_grid_what_the_finite_difference_says(monkeypatch):
+def test_a_deforming_step_gives_the_finite_difference_as_gradient(monkeypatch):
     """dL/dD of a whole style step, along a random direction, background behind the silhouette included."""
     monkeypatch.setattr(geometry, "OPAQUE", 0.0)  # a ray that ends a sample earlier is a jump, not a slope
     made = stylizer(deform=True, match="none", strategy="deferred", refit_steps=1, weight_threshold=0.0)

@@ -117,7 +117,7 @@ def test_the_picture_of_weights_varies_as_that_of_a_local_edit():
     assert picture_variation(weights, alpha, shown) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_refit_teaches_the_direct_color_and_the_palette_waits_for_its_release():
+def test_the_refit_teaches_the_direct_color_and_the_palette_waits():
     one, palettes = decomposing(steps=12), {}
     one.run(lambda now: palettes.setdefault((now.state.phase, now.state.step), now.scene.field.color.palette.copy()))
     first = one.method.extracted.palette

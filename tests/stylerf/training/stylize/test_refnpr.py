@@ -153,7 +153,7 @@ def test_references_that_use_up_the_budget_leave_one_step_of_style(making):
     assert one.scene.budget.progress == 1.0
 
 
-def test_in_the_last_quarter_renders_are_matched_with_the_references_render():
+def test_the_last_quarter_matches_renders_with_the_references_render():
     picture, _ = true_colors(referenced(), 1)
     one, parts = referenced({1: picture}, steps=12, refit_steps=1), []
     step = one.method.style_step
@@ -231,7 +231,7 @@ def test_a_reference_that_is_painted_of_a_part_is_the_photo_beside_it():
         assert apart[part == 0].max() < 1 / 255 and apart[part > 0.9].mean() > 0.02, match
 
 
-def test_views_that_show_nothing_of_a_part_do_not_learn_and_are_no_reference():
+def test_views_without_the_part_neither_learn_nor_are_references():
     front = np.zeros((8, 8, 8), bool)
     front[7, 3:5, 3:5] = True  # of the face that the first view looks at
     one = referenced({0: np.zeros((HEIGHT, WIDTH, 3), np.float32)}, front, apart=1.6)

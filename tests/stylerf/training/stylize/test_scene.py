@@ -16,7 +16,7 @@ def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: t
 
 
 @pytest.mark.parametrize("background", [0.0, 1.0])
-def test_photos_in_their_own_colors_stay_as_they_are_where_they_are_half_covered_too(background):
+def test_photos_in_their_own_colors_stay_even_where_half_covered(background):
     """Straight colors of two kinds, their mean and covariance those of the painting: the map is none."""
     generator = np.random.default_rng(0)
     straight = generator.random((20, 24, 3), dtype=np.float32)
@@ -29,7 +29,7 @@ def test_photos_in_their_own_colors_stay_as_they_are_where_they_are_half_covered
     np.testing.assert_allclose(matched(photo, alpha, background, painting), photo, atol=2e-5)
 
 
-def test_a_half_covered_pixel_is_half_the_painting_and_half_the_background():
+def test_a_half_covered_pixel_is_half_painting_half_background():
     photo = np.full((6, 6, 3), 0.5, np.float32)
     photo[:3] = np.random.default_rng(1).random((3, 6, 3), dtype=np.float32)
     alpha = np.full((6, 6), 0.5, np.float32)

@@ -25,7 +25,7 @@ def test_a_pixel_outside_mirrors_one_as_deep_inside():
     assert rows[:, 5].tolist() == [4, 3, 2, 3, 4, 5, 4, 3, 2]
 
 
-def test_where_the_mirrored_pixel_is_outside_too_the_nearest_inside_stands_in():
+def test_where_the_mirror_is_outside_too_the_nearest_inside_is_taken():
     alpha = np.zeros((3, 9), np.float32)
     alpha[1, 4] = 1  # one pixel wide: any mirrored one is outside
     assert (mirror_pixels(alpha) == 1 * 9 + 4).all()
@@ -59,7 +59,7 @@ def test_the_style_loss_of_an_object_does_not_depend_on_the_background():
     assert losses[0] == pytest.approx(losses[1], rel=1e-4)
 
 
-def test_what_grows_beyond_the_photos_silhouette_learns_the_objects_colors():
+def test_what_grows_beyond_the_silhouette_learns_the_objects_colors():
     made = arf({"deformation": Deformation.create(np.random.default_rng(0))}, match="none")
     loss, photo = made.method.loss, np.full((HEIGHT, WIDTH, 3), 0.2, np.float32)
     at_rest = made.scene.fixed.alpha(0)

@@ -28,7 +28,7 @@ def test_turns_follow_the_budget():
     assert sorted(one.method.images) == list(range(VIEWS))
 
 
-def test_views_take_turns_across_rounds_and_the_field_learns_from_the_first_on():
+def test_views_take_turns_and_the_field_learns_from_the_first_on():
     one, seen = alternating(steps=8, rounds=4, image_share=0.5, match="none"), []
     one.run(lambda now: seen.append(len(now.method.images)) if now.state.phase == "style" else None)
     assert seen == [1, 1, 2, 2, 3, 3, 3, 3]
