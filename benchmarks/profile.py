@@ -149,14 +149,14 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
     from stages.artifacts.photos import bank_of
     from stages.artifacts.scene import load_scene, space_of
     from stages.configs.fit import FitConfig
-    from stages.nerf_fit import _settings
+    from stages.nerf_fit import fit_settings
     from stages.run.progress import Context, Silent
     from stylerf.training.fit.fitter import Fitter
     from stylerf.training.fit.settings import CapacityLevel
 
     scene = load_scene(WorkFolder(work).find("scene", "main"))
     space = space_of(scene, "auto")[0]
-    settings = _settings(FitConfig(budget="1000000"), scene, space)
+    settings = fit_settings(FitConfig(budget="1000000"), scene, space)
     resolution, density, color = map(int, capacity.split("x"))
     settings = dataclasses.replace(
         settings, levels=(CapacityLevel(resolution, density, color),), level_ends=(), prunings=()

@@ -66,7 +66,7 @@ class ViewLoss:
         self._objective: StyleObjective | None = None
         self._content = self._new_cache()
         self.of_object = not scene.fills_views and not scene.of_region
-        self.backdrop = torch.from_numpy(scene.backdrop).to(self.device)[:, None, None]
+        self.behind = torch.from_numpy(scene.behind).to(self.device)[:, None, None]
         self._mirrors = BoundedCache(
             lambda view: mirror_pixels(scene.fixed.alpha(view)), lambda made: made.nbytes, len(scene.cameras),
             MIRRORS * self.memory,
@@ -126,7 +126,7 @@ class ViewLoss:
             return image
         background = float(self.scene.background)
         if self.scene.deformer is not None:
-            return over(image, alpha, background, self.backdrop)
+            return over(image, alpha, background, self.behind)
         return over(image, alpha, background, object_colors(image, alpha, self.mirror(view), background))
 
     def at_rest(self, view: int) -> Tensor:
@@ -147,7 +147,7 @@ class ViewLoss:
             return content
         photo = self.to_device(self.scene.photos[view])
         colors = object_colors(photo, self.at_rest(view), self.mirror(view), background)
-        wanted = alpha * colors + (1 - alpha) * self.backdrop
+        wanted = alpha * colors + (1 - alpha) * self.behind
         return replace(content, colors=cell_colors(wanted), edges=luma_gradient(wanted).half())
 
 

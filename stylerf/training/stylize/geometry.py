@@ -106,8 +106,8 @@ class FixedGeometry:
 class RayGeometry(ABC, Generic[Shaded, Buffer]):
     """Rays through a deforming field, marched again each time, which learn its colors and its deformation.
 
-    weight_threshold: fraction of a ray's largest weight below which a sample is not colored. backdrop: color [3]
-    behind the field, which shows where a moving silhouette lets it; unused if the background is opaque. fixed: the
+    weight_threshold: fraction of a ray's largest weight below which a sample is not colored. behind: color [3] behind
+    the field, which shows where a moving silhouette lets it; unused if the background is opaque. fixed: the
     field before anything moved; a view that was not rendered yet has the alpha that it has there.
     """
 
@@ -119,12 +119,12 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
         cameras: list[Camera],
         weight_threshold: float,
         threads: int,
-        backdrop: np.ndarray,
+        behind: np.ndarray,
         deformer: GridDeformer[Buffer],
         fixed: Surfaces,
     ) -> None:
         self.field, self.cameras, self.weight_threshold, self.threads = field, cameras, weight_threshold, threads
-        self.backdrop, self.fixed = backdrop, fixed
+        self.behind, self.fixed = behind, fixed
         self.deformer: GridDeformer[Buffer] = deformer
         self.alphas: dict[int, np.ndarray] = {}
 
@@ -148,13 +148,13 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
         return rgb, record
 
     def learn(self, record: list[tuple[slice, Shaded]], gradients: np.ndarray, color_to: Buffer) -> None:
-        """Add dL/d(color values), and dL/dD to the deformer's gradients, from dL/d(rgb over the backdrop) [n, 3]."""
+        """Add dL/d(color values), and dL/dD to the deformer's gradients, from dL/d(rgb over that color) [n, 3]."""
         for part, rendered in record:
             to = np.zeros((len(gradients[part]), 5), np.float32)
             to[:, :3] = gradients[part]
             if not self.field.opaque_background:
-                # The image is rgb + (1 - alpha) backdrop: a moving silhouette learns by what it uncovers.
-                to[:, 3] = -gradients[part] @ self.backdrop
+                # The image is rgb + (1 - alpha) behind: a moving silhouette learns by what it uncovers.
+                to[:, 3] = -gradients[part] @ self.behind
             self._backward(rendered, to, color_to)
 
     @abstractmethod

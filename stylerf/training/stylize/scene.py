@@ -199,8 +199,7 @@ class StyledScene(Generic[Settings_co]):
         photos: The views' photos, in the style image's colors if settings.match says so.
         style_image: Image whose features are matched; None without a style image.
         style_colors: Image whose colors are matched, without what is transparent; None without a style image.
-        backdrop: Color [3] that a deforming object is compared with the style image on: the latter's mean. On the
-            background itself, strokes at silhouettes would be matched with it.
+        behind: Color [3] behind a deforming object when it is compared with the style image, whose mean it is.
 
     Raises:
         InvalidValue: No view shows anything of the region.
@@ -236,7 +235,7 @@ class StyledScene(Generic[Settings_co]):
         self.photos = BoundedCache(self._matched(problem.photos), lambda p: p.nbytes, views, PHOTOS * memory)
         self.budget = PhaseBudget(self)
         shown = self.style_colors
-        self.backdrop = np.full(3, self.background) if shown is None else shown.flatten(1).mean(1).numpy()
+        self.behind = np.full(3, self.background) if shown is None else shown.flatten(1).mean(1).numpy()
 
     def _new_deformer(self) -> AnyDeformer | None:
         p, settings = self.problem, self.settings
@@ -275,7 +274,7 @@ class StyledScene(Generic[Settings_co]):
         if self.deformer is not None:
             p, threshold = self.problem, self.settings.weight_threshold
             self._moving = self.geometry = p.backend.moving_geometry(
-                self.field, p.cameras, threshold, p.threads, self.backdrop, self.deformer, self.fixed
+                self.field, p.cameras, threshold, p.threads, self.behind, self.deformer, self.fixed
             )
 
     # -- views ------------------------------------------------------------------------------------------------------

@@ -128,7 +128,7 @@ def test_a_moving_view_is_painted_and_learned_as_on_the_cpu(device):
             still = GpuFixedGeometry(made.field, cameras, 0.1, 1, 0, device=where)
             made.field.color = hash_color(6)
             moving, color_to = GpuMovingGeometry, still.new_adam().gradients
-        geometry = moving(made.field, cameras, 0.1, 1, 0.75, made, still)
+        geometry = moving(made.field, cameras, 0.1, 1, np.float32([0.6, 0.75, 0.9]), made, still)
         np.testing.assert_allclose(geometry.alpha(1), still.alpha(1))
         rgb, kept = geometry.paint(1, pixels)
         geometry.learn(kept, towards, color_to)
