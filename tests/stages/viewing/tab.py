@@ -62,15 +62,25 @@ class Tab:
         return self.browser.evaluate("document.body.innerText")
 
     def choose(self, text: str) -> None:
-        """Click what shows exactly this text."""
-        place = self.browser.evaluate(
+        """Click what shows exactly this text, once the page around it has come to rest."""
+        last: list[float] | None = None
+
+        def at_rest() -> bool:
+            nonlocal last
+            before, last = last, self._place(text)
+            return last is not None and last == before
+
+        assert until(at_rest), f"{text} is not on the page:\n{self.words()}"
+        assert last is not None
+        self.press(*last)
+
+    def _place(self, text: str) -> list[float] | None:
+        return self.browser.evaluate(
             "(() => { const e = [...document.querySelectorAll('button, [role=tab], [role=option]')]"
             f".filter(e => e.textContent.trim() == {text!r} && e.offsetParent).pop();"
             "if (!e) return null; e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
             "return [r.x + r.width / 2, r.y + r.height / 2] })()"
         )
-        assert place, f"{text} is not on the page:\n{self.words()}"
-        self.press(*place)
 
 
 def until(found, seconds: float = 20.0):

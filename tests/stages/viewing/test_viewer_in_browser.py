@@ -131,7 +131,7 @@ def test_exported_splats_are_seen_while_the_camera_moves(viewer, tab):
     page = page_of(desk)
     splats = viewer.page._splats[page]
     viewer.page.show_splats()
-    assert until(lambda: splats._node is not None) and not splats.shown
+    assert until(lambda: splats._node is not None and not splats.shown), "they are hidden while the camera rests"
     seen, begin = [], splats.begin
     splats.begin = lambda: (begin(), seen.append(splats.shown))[0]
     box, pose = tab.canvas(), desk.painter.pose(page)
