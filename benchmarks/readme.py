@@ -393,6 +393,22 @@ def method_cells() -> str:
     return "\n".join(lines)
 
 
+def votes() -> str:
+    """Markdown of blind votes, and of the figures that agree with them; empty if there are none."""
+    if not (RESULTS / "votes.json").is_file():
+        return ""
+    report = result("votes.json")
+    lines = ["| scene, painting | method | preferred | share (95 %) |", "|---|---|---|---|"]
+    for row in report["rows"]:
+        share = f"{row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
+        lines.append(f"| {row['group']} | {row['contender']} | {row['won']} of {row['decided']} | {share} |")
+    lines += ["", "| figure | agrees with the votes | share (95 %) |", "|---|---|---|"]
+    for one in report["agreement"]:
+        share = f"{one['share']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
+        lines.append(f"| {one['metric']} | {one['won']} of {one['decided']} | {share} |")
+    return "\n".join([*lines, "", f"{report['votes']} votes. {where(report)}"])
+
+
 def _mean_and_spread(value: dict | None) -> str:
     if value is None:
         return "–"
@@ -512,7 +528,7 @@ BLOCKS = {
         "scenes": scenes_under_stress,
         "remedies": remedies,
     },
-    "docs/methods-compared.md": {"ranks": method_ranks, "cells": method_cells},
+    "docs/methods-compared.md": {"ranks": method_ranks, "cells": method_cells, "votes": votes},
     "docs/performance.md": {"profile": profile, "looks": looks},
 }
 # By picture name, which starts with the name of its result file.

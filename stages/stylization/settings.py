@@ -45,7 +45,8 @@ DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose 
 # What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
 # an object can tear (decision 0015).
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
-DEFORMED = {"structure_weight": 1.0}  # of transport: edges that may not move do not bend (decision 0050)
+# Of transport, of captures and of objects: edges that may not move do not bend (decisions 0050, 0054).
+DEFORMED_STRUCTURE = {True: 1.0, False: 0.5}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "coarse": 0.0}
@@ -162,7 +163,7 @@ def settings_of(
     if isinstance(config, DesrfConfig) and not opaque_background:
         defaults = defaults | DEFORMED_OBJECT
     if isinstance(config, DesrfConfig) and loss == "transport":
-        defaults = defaults | DEFORMED
+        defaults = defaults | {"structure_weight": DEFORMED_STRUCTURE[opaque_background]}
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:

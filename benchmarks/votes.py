@@ -1,0 +1,40 @@
+"""Blind votes on pairs of stylizations: `python -m benchmarks.votes OUT.json PAIRS VOTES.json WORK...`.
+
+Protocol: `stylerf compare WORK... --pairs` writes to PAIRS a page of pairs in random order, without names; people vote
+there, and save VOTES.json. Shares are of decided votes, with their Wilson intervals at 95 %. `agreement` is how often a
+figure prefers the picture that was voted for.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+from benchmarks.conditions import here_and_now
+from benchmarks.fits import stylerf
+
+KEPT = ("contender", "won", "decided", "share", "low", "high", "same")
+
+
+def condensed(counted: dict) -> dict:
+    """What is kept of `stylerf compare --votes --json`: shares by scene, painting and contender, and agreement."""
+    rows = [
+        {"group": group, **{name: one[name] for name in KEPT}}
+        for group, members in counted["standings"].items()
+        for one in members
+    ]
+    return {"votes": counted["votes"], "files": counted["files"], "rows": rows, "agreement": counted["agreement"]}
+
+
+def main() -> None:
+    out, pairs, votes, *works = sys.argv[1:]
+    report = {
+        "command": "python -m benchmarks.votes OUT.json PAIRS VOTES.json WORK...",
+        "protocol": __doc__.split("Protocol: ")[1],
+        **here_and_now(),
+        **condensed(stylerf("compare", *works, "--out", pairs, "--votes", votes)),
+    }
+    Path(out).write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
