@@ -49,7 +49,8 @@ class StylizeConfig:
     )
     diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
     structure_weight: float = option(
-        -1.0, help="weight of the photo's edges that are missing (-1: 4; nearest, gram, refnpr: 0; desrf: 1, of objects 0.5)"
+        -1.0,
+        help="weight of the photo's edges that are missing (-1: 4; nearest, gram, refnpr: 0; desrf: 1, of objects 0.5)",
     )
     stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
     rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
