@@ -370,11 +370,8 @@ def method_ranks() -> str:
         values = (f"{found[c]['rank']:.1f} ({found[c]['relative']:.2f})" if c in found else "–" for c in columns)
         lines.append(f"| {method} | {' | '.join(values)} |")
     blocks = max(one["blocks"] for one in report["standings"])
-    over = (
-        f"Over {blocks} pairs of a scene and a painting; {report['artifacts']} artifacts took {report['job_hours']} "
-        "hours of jobs."
-    )
-    return "\n".join([*lines, "", f"{over} {where(report)}"])
+    hours = f"; all jobs together took {report['job_hours']} hours" if "job_hours" in report else ""
+    return "\n".join([*lines, "", f"Over {blocks} pairs of a scene and a painting{hours}. {where(report)}"])
 
 
 def method_cells() -> str:

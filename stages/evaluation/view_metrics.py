@@ -20,8 +20,8 @@ from stylerf.metrics.speckle import speckle
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
 Score = Callable[[np.ndarray, np.ndarray], float]
-StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float, float, float]]
 # image, alpha -> NNFM, Gram, Gram of the judge, SIFID
+StyleDistances = Callable[[np.ndarray, np.ndarray], tuple[float, float, float, float]]
 
 
 @dataclass

@@ -221,9 +221,7 @@ def train(
     shown, final = "", trainer.phases[-1]
     seconds, _ = budget_of(config.budget)
     if seconds:
-        context.progress.say(
-            f"{seconds:.0f} s of style steps; on top of it come loading, new colors for the scene, and matching colors"
-        )
+        context.progress.say(f"{seconds:.0f} s of training; loading, and new colors for the scene, come on top of it")
 
     def report(now: StylizationTrainer) -> None:
         nonlocal shown

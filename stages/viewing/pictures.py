@@ -13,6 +13,7 @@ from stylerf.fields.protocol import ColorPart
 from stylerf.geometry.cameras import Camera
 from stylerf.rendering.interlaced import coarsest_within, render_pixels
 from stylerf.rendering.pixel_mixtures import Mixing, MixtureRecorder, colors_of
+from stylerf.rendering.ray_registration import every
 
 MOST_MIXTURES = 250_000  # pixels of a picture that is recolored at once: more take longer than the eye waits
 STRIDES = (1, 2, 4, 8, 16, 32)
@@ -113,7 +114,7 @@ class Painted:
         at = np.arange(len(self.mixtures.means)).reshape(-1, wide)[::thinned, ::thinned].ravel()
         change = (self._colors(shown, at) - self._own[at]) * self.mixtures.shares[at, None]
         grid[..., :3] = np.clip(grid[..., :3] + alpha * change.reshape(*alpha.shape[:2], 3), 0, alpha)
-        return picture_of(shown, _thinned(self.camera, stride), grid)
+        return picture_of(shown, every(self.camera, stride), grid)
 
 
 def render(
@@ -150,16 +151,3 @@ def render(
         if mixtures is not None and recorder is not None:
             mixtures.keep(camera, pixels[which], recorder)
     return out
-
-
-def _thinned(camera: Camera, stride: int) -> Camera:
-    """Return the camera whose pixels are those on the grid of a stride."""
-    return replace(
-        camera,
-        width=-(-camera.width // stride),
-        height=-(-camera.height // stride),
-        fx=camera.fx / stride,
-        fy=camera.fy / stride,
-        cx=(camera.cx - 0.5) / stride + 0.5,
-        cy=(camera.cy - 0.5) / stride + 0.5,
-    )
