@@ -112,7 +112,7 @@ def random_field(vertices: int, kind: str = "vm"):
     generator, capacity = np.random.default_rng(0), Capacity(np.full(3, vertices), vertices, finest=max(32, vertices))
     of_color, _, head = kind.partition("-")
     names = {"stylized": ("vm", "vm"), "hash-mlp": ("vm", "hash")}.get(kind, (kind, of_color))
-    density, color = first_parts(Kinds(*names, head or "linear"), capacity, generator)
+    density, color = first_parts(Kinds(*names, head or "linear"), capacity, capacity, generator)
     density.values[-1] = -2.0
     if kind == "stylized":
         color = HashColor.create(generator)

@@ -36,13 +36,13 @@ from stylerf.training.fit.settings import (
     CapacityLevel,
     FitSettings,
     Kinds,
-    capacity_at,
+    capacities_at,
     cells_for,
     first_parts,
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=17, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=18, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -121,11 +121,8 @@ def report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> 
     levels = settings.levels[:1] if "voxel" in (kinds.density, kinds.color) else settings.levels[-2:]
 
     def parameters(level: CapacityLevel) -> int:
-        found = 0
-        for part, of in enumerate((level, level.color)):
-            capacity = capacity_at(of, finest, kinds.hash_levels, space, degree=settings.degree)
-            found += len(first_parts(kinds, capacity, np.random.default_rng(0))[part].values)
-        return found
+        capacities = capacities_at(level, finest, kinds.hash_levels, space, degree=settings.degree)
+        return sum(len(part.values) for part in first_parts(kinds, *capacities, np.random.default_rng(0)))
 
     most, level = max(((parameters(level), level) for level in levels), key=lambda found: found[0])
     # A gradient buffer a thread: PARAMETER_BYTES has those of two.

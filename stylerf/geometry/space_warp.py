@@ -96,6 +96,15 @@ class SpaceWarp:
         sides = resolution * extent / np.prod(extent) ** (1 / 3)
         return np.maximum(8, np.round(sides)).astype(np.int64)
 
+    def color_cells(self, resolution: int) -> np.ndarray:
+        """As cells_per_axis, for colors: in a frustum a third finer across and half as fine in depth.
+
+        Photos show detail across; in depth, the density already tells surfaces apart (decision 0055).
+        """
+        across_and_depth = (4 / 3, 4 / 3, 1 / 2) if self.kind == "frustum" else (1, 1, 1)
+        sides = np.round(self.cells_per_axis(resolution) * np.array(across_and_depth))
+        return np.maximum(8, sides).astype(np.int64)
+
     def warp(self, points: np.ndarray) -> np.ndarray:
         """Map world points [n, 3] to the unit cube in float64, as the reference for the kernels."""
         points = np.asarray(points, dtype=np.float64)

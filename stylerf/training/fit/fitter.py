@@ -33,7 +33,7 @@ from stylerf.training.fit.settings import (
     CapacityLevel,
     FitSettings,
     FitState,
-    capacity_at,
+    capacities_at,
     first_parts,
     grown_parts,
 )
@@ -92,7 +92,7 @@ class Fitter:
         self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
             space,
-            *first_parts(settings.kinds, self._capacity(level), generator),
+            *first_parts(settings.kinds, *self._capacities(level), generator),
             OccupancyGrid(level.cells, clear=self._clear_cells(level.cells)),
             1.0 / level.resolution,
         )
@@ -127,20 +127,21 @@ class Fitter:
         """Number of learnable values; does not wait for a GPU."""
         return self.engine.parameters
 
-    def _capacity(self, level: CapacityLevel, occupancy: OccupancyGrid | None = None) -> Capacity:
+    def _capacities(
+        self, level: CapacityLevel, occupancy: OccupancyGrid | None = None
+    ) -> tuple[Capacity, Capacity]:
         settings = self.settings
         finest, levels = settings.levels[-1].resolution, settings.kinds.hash_levels
-        return capacity_at(level, finest, levels, self.space, occupancy, settings.degree)
+        return capacities_at(level, finest, levels, self.space, occupancy, settings.degree)
 
     def resize(self, level: CapacityLevel) -> None:
         """Take the present field to another capacity level, with the same picture as far as that can hold it."""
         # Seeded by the level, not by what was drawn before: a resumed run repeats a trial from the same values.
         generator = np.random.default_rng([self.seed, 2, level.resolution])
         old = self.field
-        capacity = self._capacity(level, old.occupancy)
         grown = RadianceField(
             self.space,
-            *grown_parts(old, capacity, self._capacity(level.color, old.occupancy), generator),
+            *grown_parts(old, *self._capacities(level, old.occupancy), generator),
             old.occupancy.resized(level.cells) if level.cells != old.occupancy.cells else old.occupancy,
             1.0 / level.resolution,
         )
@@ -261,8 +262,8 @@ class Fitter:
             return
         for density_rank, color_rank, degree in kinds - self._warm:
             # Ranks are compile-time constants (decision 0001), the resolution is not: 8^3 will do.
-            capacity = self._capacity(CapacityLevel(8, density_rank, color_rank, 8, 8, degree))
-            parts = first_parts(settings.kinds, capacity, generator)
+            capacities = self._capacities(CapacityLevel(8, density_rank, color_rank, 8, 8, degree))
+            parts = first_parts(settings.kinds, *capacities, generator)
             scratch.append(RadianceField(self.space, *parts, OccupancyGrid(8), 1 / 8))
         self._warm |= kinds
         self.engine.warm_up(scratch, settings)

@@ -104,42 +104,50 @@ def cells_for(levels: tuple[CapacityLevel, ...], space: str) -> tuple[CapacityLe
     return tuple(replace(level, cells=CAPTURE_CELLS) if level.resolution >= FINER_FROM else level for level in levels)
 
 
-def capacity_at(
+def capacities_at(
     level: CapacityLevel,
     finest: int,
     hash_levels: int,
     space: SpaceWarp,
     occupancy: OccupancyGrid | None = None,
     degree: int = 1,
-) -> Capacity:
-    """A level's capacity in a space. finest: resolution of the last level. degree: the highest wanted."""
-    return Capacity(
-        space.cells_per_axis(level.resolution),
-        level.resolution,
-        level.density_rank,
-        level.color_rank,
-        1 << level.table_bits,
-        hash_levels,
-        finest,
-        occupancy,
-        min(level.degree, degree),
-    )
+) -> tuple[Capacity, Capacity]:
+    """A level's capacities (density, color) in a space.
+
+    finest: resolution of the last level. degree: the highest wanted.
+    """
+
+    def of(part: CapacityLevel, size: np.ndarray) -> Capacity:
+        return Capacity(
+            size,
+            part.resolution,
+            part.density_rank,
+            part.color_rank,
+            1 << part.table_bits,
+            hash_levels,
+            finest,
+            occupancy,
+            min(part.degree, degree),
+        )
+
+    color = level.color
+    return of(level, space.cells_per_axis(level.resolution)), of(color, space.color_cells(color.resolution))
 
 
 def first_parts(
-    kinds: Kinds, capacity: Capacity, generator: np.random.Generator
+    kinds: Kinds, density: Capacity, color: Capacity, generator: np.random.Generator
 ) -> tuple[GrowingDensity, GrowingColor]:
-    """Initial (density, color)."""
-    density: GrowingDensity
+    """Initial (density, color) of these capacities."""
+    first: GrowingDensity
     if kinds.density == "vm":
-        density = VmDensity.create(capacity.size, capacity.density_rank, generator)
+        first = VmDensity.create(density.size, density.density_rank, generator)
     elif kinds.density == "hash":
-        density = HashDensity.create(capacity, generator)
+        first = HashDensity.create(density, generator)
     else:
-        density = VoxelDensity.create(capacity, generator)
+        first = VoxelDensity.create(density, generator)
     if kinds.color == "vm" and kinds.head == "linear":
-        return density, VmColor.create(capacity.size, capacity.color_rank, capacity.degree, generator)
-    return density, EncodedColor.create(kinds.color, kinds.head, capacity, capacity.degree, generator)
+        return first, VmColor.create(color.size, color.color_rank, color.degree, generator)
+    return first, EncodedColor.create(kinds.color, kinds.head, color, color.degree, generator)
 
 
 def grown_parts(

@@ -22,6 +22,15 @@ def test_a_frustum_tells_depths_apart_as_finely_as_views_do():
     assert np.prod(found) == pytest.approx(128**3, rel=0.02)
 
 
+def test_colors_of_a_frustum_are_finer_across_than_in_depth_and_those_of_a_box_as_its_density():
+    space = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3, parallax=1.0)
+    across = space.color_cells(128) / space.cells_per_axis(128)
+    np.testing.assert_allclose(across, [4 / 3, 4 / 3, 1 / 2], rtol=0.01)
+    assert space.color_cells(8).min() == 8
+    box = SpaceWarp.box((0, 0, 0), (4, 1, 2))
+    np.testing.assert_array_equal(box.color_cells(64), box.cells_per_axis(64))
+
+
 @pytest.mark.parametrize(("parallax", "share"), [(0.01, 0.25), (9.0, 1.0)])
 def test_depths_are_a_quarter_of_the_width_at_least_and_no_more_than_it(parallax, share):
     wide, _, deep = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3, parallax=parallax).cells_per_axis(96)
