@@ -21,13 +21,14 @@ from stages.artifacts.style_images import (
     read_references,
     read_style_image,
 )
-from stages.configs.stylize import DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
+from stages.configs.stylize import ArfConfig, DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.configs.view_syntax import file_of
 from stages.run.devices import gpu_figures, gpu_of, rays_on
 from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import resumed
+from stages.stylization.margins import margin_cameras, picture
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,
@@ -62,7 +63,7 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
     return digests_of_files(config) | references
 
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=13, writes="field", outside=_outside)
+SPEC = Spec(stage="stylize", verb="stylize", revision=14, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 
@@ -118,7 +119,7 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
         "finest": _finest(stylized.color),
         "parameters": stylized.parameters,
         "features": resolved.manifest(),
-        "views": len(problem.cameras),
+        "views": len(scene.splits["train"]),
         "rollbacks": state.counts.get("rollbacks", 0),
         **_figures_of_method(method, config, scene, partial),
         **gpu_figures(device),
@@ -153,10 +154,19 @@ def _problem(
     """What any method is given. level: gray of the background."""
     views, threads = scene.splits["train"], torch.get_num_threads()
     long_side = max(max(camera.width, camera.height) for camera in scene.cameras)
+    cameras = [scene.cameras[i] for i in views]
+    if field.opaque_background and region is None and type(config) in (ArfConfig, DesrfConfig):
+        cameras += margin_cameras(cameras)
+
+    def photo(place: int) -> np.ndarray:
+        if place < len(views):
+            return photo_for(field, scene, views[place], level, threads)
+        return picture(field, cameras[place], level, threads)
+
     return StyleProblem(
         field=field,
-        cameras=[scene.cameras[i] for i in views],
-        photos=BoundedCache(lambda place: photo_for(field, scene, views[place], level, threads), len, len(views), 0),
+        cameras=cameras,
+        photos=BoundedCache(photo, len, len(cameras), 0),
         background=level,
         settings=settings_of(config, long_side, field.opaque_background, region is not None),
         seed=context.seed,

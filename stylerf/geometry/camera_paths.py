@@ -8,6 +8,7 @@ from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 
 PATHS = ("orbit", "spiral", "interpolate")
+PARALLEL = 10.0  # degrees of the viewing axes from their mean, on average: beyond, cameras look at one place
 
 
 def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_depth: float) -> Camera:
@@ -18,7 +19,8 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
         cameras: The scene's cameras.
         index: Frame, 0 to count - 1.
         count: Number of frames.
-        focus_depth: Distance from the average camera to the point that a spiral looks at, scene units.
+        focus_depth: Distance from the average camera to the point that a spiral looks at, scene units; if the
+            cameras look at one place, the spiral does too.
     """
     if not cameras:
         raise InvalidValue("a camera path needs the scene's cameras; there are none")
@@ -93,13 +95,18 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
     """Make two turns of an ellipse in the plane of the cameras, as wide as 80 % of them, around one point (LLFF)."""
     poses = np.array([c.world_from_camera for c in cameras])
-    center, forward, up = poses[:, :3, 3].mean(0), _unit(poses[:, :3, 2].mean(0)), average_up(cameras)
+    center, axes, up = poses[:, :3, 3].mean(0), poses[:, :3, 2], average_up(cameras)
+    forward = _unit(axes.mean(0))
+    target = center + forward * focus_depth
+    if np.degrees(np.arccos(np.clip(axes @ forward, -1, 1))).mean() > PARALLEL:
+        target = focus_point(cameras)
+        forward = _unit(target - center)
     base = look_at(center, center + forward, up)
     local = (poses[:, :3, 3] - center) @ base[:3, :3]
     reach = np.percentile(np.abs(local), 80, axis=0)
     angle = 4 * np.pi * share
     offset = reach * np.array([np.cos(angle), -np.sin(angle), -np.sin(angle / 2)]) * np.array([1, 1, 0.5])
-    return look_at(center + base[:3, :3] @ offset, center + forward * focus_depth, up)
+    return look_at(center + base[:3, :3] @ offset, target, up)
 
 
 def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:

@@ -5,6 +5,7 @@ Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x,
 (fx x/z + cx, fy y/z + cy).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,6 +79,10 @@ class Camera:
         return replace(
             self, width=width, height=height, fx=self.fx * kx, fy=self.fy * ky, cx=self.cx * kx, cy=self.cy * ky
         )
+
+    def zoomed_out(self, factor: float) -> "Camera":
+        """Return the camera that sees `factor` times as far to each side in as many pixels."""
+        return replace(self, fx=self.fx / factor, fy=self.fy / factor)
 
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the rays through pixel centers.
@@ -164,3 +169,15 @@ def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
 def evenly_spaced(count: int, most: int) -> list[int]:
     """Return the numbers of up to `most` of `count` views, evenly spaced from the first to the last."""
     return [int(view) for view in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+def spread_out(cameras: Sequence[Camera], most: int) -> list[int]:
+    """Return the numbers of up to `most` cameras far from each other, the first of them far from the mean center."""
+    centers = np.array([camera.center for camera in cameras])
+    apart = np.linalg.norm(centers - centers.mean(0), axis=1)
+    chosen: list[int] = []
+    while len(chosen) < min(most, len(cameras)):
+        chosen.append(int(apart.argmax()))
+        to_newest = np.linalg.norm(centers - centers[chosen[-1]], axis=1)
+        apart = to_newest if len(chosen) == 1 else np.minimum(apart, to_newest)
+    return chosen

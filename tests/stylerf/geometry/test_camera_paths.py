@@ -119,6 +119,13 @@ def test_a_spiral_looks_at_one_point_and_makes_two_turns():
     assert not centers[:, 1].round(9).any()
 
 
+def test_a_spiral_of_cameras_around_a_place_looks_at_that_place():
+    """However far the depth says that it should look."""
+    for frame in path("spiral", ring(range(-60, 61, 15)), 8, focus_depth=50.0):
+        toward = FOCUS - frame.center
+        np.testing.assert_allclose(frame.forward, toward / np.linalg.norm(toward), atol=1e-3)
+
+
 def test_interpolation_visits_every_camera_once_by_nearest_neighbor():
     cameras = walk()
     frames = path("interpolate", cameras, 9)

@@ -1,10 +1,12 @@
 """Rays of a camera, against its own projection; matched points of two, against points that are known in space."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stylerf.geometry.camera_paths import look_at
-from stylerf.geometry.cameras import Camera, epipolar_distance, essential, largest_parallax
+from stylerf.geometry.cameras import Camera, epipolar_distance, essential, largest_parallax, spread_out
 from tests.stylerf.geometry.test_camera_conventions import random_rotation
 
 POSE = look_at(np.array([1.7, -2.0, 0.9]), np.array([0.1, 0.2, 0.0]), np.array([0, 0, 1.0]))
@@ -20,6 +22,22 @@ def test_every_ray_leaves_the_center_through_its_pixels_center():
     rows, columns = np.divmod(np.arange(17 * 23), 23)
     np.testing.assert_allclose(pixels, np.stack([columns + 0.5, rows + 0.5], 1), atol=1e-4)
     assert (depth > 0).all()
+
+
+def test_zoomed_out_sees_farther_to_each_side():
+    points = CAMERA.center + 3.0 * CAMERA.rays()[1]
+    near, far = CAMERA.project(points)[0], CAMERA.zoomed_out(1.5).project(points)[0]
+    np.testing.assert_allclose(far - [CAMERA.cx, CAMERA.cy], (near - [CAMERA.cx, CAMERA.cy]) / 1.5, atol=1e-4)
+
+
+def test_cameras_that_are_spread_out_are_those_at_the_ends_first():
+    def at(x: float) -> Camera:
+        pose = look_at(np.array([x, -3.0, 0]), np.array([x, 0, 0]), np.array([0, 0, 1.0]))
+        return replace(CAMERA, world_from_camera=pose)
+
+    line = [at(x) for x in (0.0, 1.0, 2.5, 6.5, 5.5)]
+    assert spread_out(line, 3) == [3, 0, 2]
+    assert sorted(spread_out(line, 9)) == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("chosen", [[0], [390, 0, 5, 5], list(range(7, 390, 3))])
