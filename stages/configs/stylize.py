@@ -185,7 +185,10 @@ class ArfConfig(StylizeConfig):
         help="rays of a view that receive gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
     detail_rate: float = advanced(
-        0.1, GRID, help="learning rate of its finest level, relative to levels five times as coarse or more"
+        0.1,
+        GRID,
+        help="learning rate of its finest level, relative to levels five times as coarse or more; views under 512 "
+        "pixels slow fewer levels, and less",
     )
     dilation: int = advanced(2, RAYS, help="dilated: every Nth ray in both axes; random, patch: as few rays")
     blur: int = advanced(

@@ -222,7 +222,7 @@ class HashFeatures(TableFeatures):
         return cls(Levels.restore(data, ROW))
 
 
-DETAIL = 5.0  # levels whose cells are narrower than this many of the finest are slowed by HashColor.detail_rate
+DETAIL = 5.0  # width in cells of the finest level, see HashColor.detail_rate
 
 
 class HashColor:
@@ -232,7 +232,8 @@ class HashColor:
     vertices of a level, a power of two.
 
     Attributes:
-        detail_rate: learning rate of the finest level, relative to levels of cells DETAIL times as wide or wider.
+        detail_rate: learning rate of cells DETAIL times as narrow as those that learn in full, relative to these.
+        detail: width, in cells of the finest level, from which cells learn in full.
     """
 
     kind = "hash"
@@ -243,7 +244,8 @@ class HashColor:
         if len(values) != self.grid.length:
             raise InvalidValue(f"hash color: {len(values)} values where {self.grid.length} were expected")
         self.levels, self.base, self.finest, self.table = self.grid.count, int(base), int(finest), int(table)
-        self.values, self.layout, self.detail_rate = values, self.grid.layout(), 1.0
+        self.values, self.layout = values, self.grid.layout()
+        self.detail_rate, self.detail = 1.0, DETAIL
         self._shape = (np.int8(0),) * self.levels
 
     @classmethod
@@ -258,7 +260,7 @@ class HashColor:
         if self.detail_rate == 1:
             return [(0, len(self.values), 1.0)]
         power = np.log(self.detail_rate) / np.log(DETAIL)
-        rates = [max(1.0, cells * DETAIL / self.finest) ** power for cells in self.grid.cells]
+        rates = [max(1.0, cells * self.detail / self.finest) ** power for cells in self.grid.cells]
         firsts = self.grid.firsts
         return [(int(firsts[i]), int(firsts[i + 1]), float(rate)) for i, rate in enumerate(rates)]
 

@@ -260,7 +260,8 @@ class StyledScene(Generic[Settings_co]):
         """An optimizer of the present colors, its moments at zero."""
         color = self.field.color.own if isinstance(self.field.color, RegionColor) else self.field.color
         if self.state.phase != REFIT and isinstance(self.settings, ArfSettings) and isinstance(color, HashColor):
-            color.detail_rate = self.settings.detail_rate  # the refit learns the photos' detail in full
+            # The refit learns the photos' detail in full.
+            color.detail_rate, color.detail = self.settings.detail_rate, self.settings.detail
         return self.fixed.new_adam(self.settings.gradient_clip)
 
     def collect(self) -> None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
+from stylerf.fields.hash_grid import DETAIL
 from stylerf.style.style_loss import StyleWeights
 
 REFIT, STYLE = "refit", "style"  # phases of a StyleState that every method has
@@ -87,7 +88,7 @@ class ArfSettings(ImageStyleSettings):
     Attributes:
         strategy, dilation, blur: See rendering/ray_selection.py.
         remember: Take unselected pixels from the view's last render.
-        detail_rate: See HashColor; of the style steps.
+        detail_rate, detail: See HashColor; of the style steps.
     """
 
     strategy: str = "deferred"
@@ -95,6 +96,7 @@ class ArfSettings(ImageStyleSettings):
     blur: int = 0
     remember: bool = True
     detail_rate: float = 1.0
+    detail: float = DETAIL
 
 
 @dataclass(frozen=True)

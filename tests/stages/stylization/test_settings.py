@@ -81,6 +81,10 @@ def test_shapes_of_captures_learn_faster_than_those_of_objects():
     assert settings_of(DesrfConfig(style="x", deform_rate=0.01), 800, True).deform_rate == 0.01
 
 
+def test_smaller_views_slow_fewer_levels_of_the_colors():
+    assert [settings_of(ArfConfig(style="x"), side, True).detail for side in (1024, 512, 256)] == [5.0, 5.0, 2.5]
+
+
 @pytest.mark.parametrize(
     "options",
     [{"match_by": "nearest", "diversity": 1.0}, {"keep_colors": True, "match": "before"}, {"diversity": -1.0}],

@@ -23,3 +23,6 @@ def test_levels_finer_than_five_cells_of_the_finest_learn_more_slowly(color):
     # 160 / 5 = 32 cells; then in equal steps of the logarithm: 0.1^(log(cells / 32) / log 5).
     expected = [1, 1] + [0.1 ** (np.log(cells / 32) / np.log(5)) for cells in (40, 64, 101)] + [0.1]
     np.testing.assert_allclose(rates, expected)
+    color.detail = 2.0  # 160 / 2 = 80 cells
+    expected = [1, 1, 1, 1] + [0.1 ** (np.log(cells / 80) / np.log(5)) for cells in (101, 160)]
+    np.testing.assert_allclose(list(zip(*color.groups()))[2], expected)
