@@ -79,6 +79,9 @@ LARGE = CapacityLevel(384, table_bits=18)
 # A contraction spends half of each axis on the center, where a finer density still helps.
 BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
 
+# For photos of a forward-facing capture that hold more detail than the colors of FULL can (decision 0055).
+SHARP = replace(FULL, color_resolution=480)
+
 # Cells per side of a capture's occupancy grid, from levels of this resolution on.
 CAPTURE_CELLS, FINER_FROM = 128, 192
 
@@ -91,6 +94,8 @@ def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ..
     if kinds == Kinds() and space == "contraction":
         # All ranks until the last: 256^3 with half of them seems to gain nothing, although 384^3 then would.
         return (*LEVELS[:3], replace(FULL, density_rank=16), BEYOND)
+    if kinds.color == "vm" and space == "frustum" and pixels >= 3 * FULL.resolution:
+        return (*LEVELS[:3], FULL, SHARP)
     if kinds == Kinds() and space == "box" and pixels >= 2 * FULL.resolution:
         return (*LEVELS[:3], FULL, LARGE)
     lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LEVELS[-1].color_resolution)

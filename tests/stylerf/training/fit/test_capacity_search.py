@@ -3,7 +3,7 @@
 import pytest
 
 from stylerf.training.fit.capacity_search import PRUNINGS, RAMP, TRIAL_STEPS, CapacitySearch
-from stylerf.training.fit.settings import GROW, LEVELS, CapacityLevel, FitSettings, FitState, Kinds, levels_for
+from stylerf.training.fit.settings import FULL, GROW, LEVELS, CapacityLevel, FitSettings, FitState, Kinds, levels_for
 
 EVEN = tuple(CapacityLevel(n, table_bits=18) for n in (64, 128, 192, 256))
 
@@ -180,6 +180,13 @@ def test_larger_photos_of_an_object_get_finer_last_levels():
     finest = [(level.color.resolution, level.resolution) for level in last]
     assert finest == sorted(finest) and len(set(finest)) == 3
     assert all(pixels / 2.5 < colors for pixels, (colors, _) in zip((200, 400, 800), finest))
+
+
+@pytest.mark.parametrize("density", ["hash", "vm"])
+def test_larger_photos_of_a_forward_facing_capture_get_finer_colors_last(density):
+    small, large = (levels_for(Kinds(density), "frustum", pixels) for pixels in (504, 1008))
+    assert large[-2] == FULL and large[-1].resolution == FULL.resolution
+    assert large[-1].color.resolution > FULL.color.resolution >= small[-1].color.resolution
 
 
 def test_the_rate_rises_again_after_a_reduction():
