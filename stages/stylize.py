@@ -46,6 +46,7 @@ from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
+from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.backends import style_backend
@@ -174,7 +175,7 @@ def _problem(
         style_image=style_image,
         deformation=deformation,
         region=None if region is None else region.edit,
-        memory=_memory_for_views(scene, views, context),
+        memory=_memory_for_views(cameras, context),
         backend=style_backend(rays_on(device, field, context, deformation is not None)),
     )
 
@@ -237,13 +238,13 @@ def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneD
     return {"references": references, "registered": round(method.registered_share, 4)}
 
 
-def _memory_for_views(scene: SceneData, views: list[int], context: Context) -> float:
+def _memory_for_views(cameras: list[Camera], context: Context) -> float:
     """Bytes for caching the views, with a note if they do not all fit."""
     left = max(available_bytes(context.memory) - WORKING_BYTES, 0)
-    needed = BYTES_PER_PIXEL * sum(scene.cameras[i].width * scene.cameras[i].height for i in views)
+    needed = BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in cameras)
     if needed > left:
         context.progress.say(
-            f"caching {len(views)} views takes about {in_words(needed)}, more than the {in_words(left)} of memory "
+            f"caching {len(cameras)} views takes about {in_words(needed)}, more than the {in_words(left)} of memory "
             "left: views that do not fit are recomputed at each use"
         )
     return left
