@@ -28,7 +28,7 @@ from stages.run.memory import available_bytes, in_words
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import resumed
-from stages.stylization.margins import margin_cameras, picture
+from stages.stylization.margins import margin_cameras
 from stages.stylization.settings import (
     coarse_layers,
     image_layers,
@@ -48,6 +48,7 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
+from stylerf.rendering.view import render_view
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.backends import style_backend
 from stylerf.training.common.bounded_cache import BoundedCache
@@ -162,7 +163,7 @@ def _problem(
     def photo(place: int) -> np.ndarray:
         if place < len(views):
             return photo_for(field, scene, views[place], level, threads)
-        return picture(field, cameras[place], level, threads)
+        return render_view(field, cameras[place], threads=threads).rgb
 
     return StyleProblem(
         field=field,

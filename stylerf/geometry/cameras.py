@@ -5,7 +5,6 @@ Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x,
 (fx x/z + cx, fy y/z + cy).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from stylerf.errors import InvalidValue
 from stylerf.validation import LARGEST
 
 MIN_FOCAL = 1e-3  # pixels
+AXIS_WEIGHT = 0.3  # of a difference of viewing directions, against one of positions as far apart as the cameras
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,13 +171,17 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     return [int(view) for view in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
-def spread_out(cameras: Sequence[Camera], most: int) -> list[int]:
-    """Return the numbers of up to `most` cameras far from each other, the first of them far from the mean center."""
+def from_far_apart(cameras: list[Camera]) -> list[int]:
+    """Order cameras so that each is the one farthest from all before it (farthest-point sampling)."""
+    if not cameras:
+        return []
     centers = np.array([camera.center for camera in cameras])
-    apart = np.linalg.norm(centers - centers.mean(0), axis=1)
-    chosen: list[int] = []
-    while len(chosen) < min(most, len(cameras)):
-        chosen.append(int(apart.argmax()))
-        to_newest = np.linalg.norm(centers - centers[chosen[-1]], axis=1)
-        apart = to_newest if len(chosen) == 1 else np.minimum(apart, to_newest)
-    return chosen
+    size = max(float(np.linalg.norm(np.ptp(centers, axis=0))), 1e-9)
+    places = np.concatenate([centers / size, AXIS_WEIGHT * np.array([camera.forward for camera in cameras])], 1)
+    order = [int(np.argmin(np.linalg.norm(places - places.mean(0), axis=1)))]
+    distances = np.linalg.norm(places - places[order[0]], axis=1)
+    while len(order) < len(cameras):
+        distances[order[-1]] = -1
+        order.append(int(np.argmax(distances)))
+        distances = np.minimum(distances, np.linalg.norm(places - places[order[-1]], axis=1))
+    return order

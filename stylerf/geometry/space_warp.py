@@ -99,7 +99,7 @@ class SpaceWarp:
     def color_cells(self, resolution: int) -> np.ndarray:
         """As cells_per_axis, for colors: in a frustum a third finer across and half as fine in depth.
 
-        Photos show detail across; in depth, the density already tells surfaces apart (decision 0055).
+        Photos show detail across; in depth, the density already separates surfaces (decision 0055).
         """
         across_and_depth = (4 / 3, 4 / 3, 1 / 2) if self.kind == "frustum" else (1, 1, 1)
         sides = np.round(self.cells_per_axis(resolution) * np.array(across_and_depth))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stages.configs.stylize import ArfConfig, RefNprConfig
-from stages.stylization.margins import VIEWS, WIDER, margin_cameras, picture
+from stages.stylization.margins import VIEWS, WIDER, margin_cameras
 from stages.stylize import _problem
 from stylerf.rendering.view import render_view
 from tests.stylerf.small import SPACES, field_of
@@ -22,13 +22,6 @@ def test_margins_are_seen_by_cameras_far_from_each_other_that_see_farther():
         original = next(one for one in cameras if one.name == camera.name)
         assert camera.fx == original.fx / WIDER and camera.fy == original.fy / WIDER
         assert (camera.width, camera.cx) == (original.width, original.cx)
-
-
-def test_a_picture_is_the_fit_over_its_background():
-    field, camera = field_of(SPACES["box"], 3), dome(3, 0)[0]
-    seen = render_view(field, camera, threads=1)
-    found = picture(field, camera, 1.0, threads=1)
-    np.testing.assert_allclose(found, np.clip(seen.rgb + 1 - seen.alpha[..., None], 0, 1), atol=1e-7)
 
 
 @pytest.mark.parametrize(
@@ -51,5 +44,5 @@ def test_whole_captures_alone_have_margins(space, config, region, more):
     assert len(problem.cameras) == len(problem.photos) == 5 + more
     assert (problem.photos[4] == 0.25).all()
     if more:
-        expected = picture(field, problem.cameras[5], 0.0, torch.get_num_threads())
-        np.testing.assert_array_equal(problem.photos[5], expected)
+        seen = render_view(field, problem.cameras[5], threads=torch.get_num_threads())
+        np.testing.assert_array_equal(problem.photos[5], seen.rgb)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stylerf.geometry.camera_paths import look_at
-from stylerf.geometry.cameras import Camera, epipolar_distance, essential, largest_parallax, spread_out
+from stylerf.geometry.cameras import Camera, epipolar_distance, essential, from_far_apart, largest_parallax
 from tests.stylerf.geometry.test_camera_conventions import random_rotation
 
 POSE = look_at(np.array([1.7, -2.0, 0.9]), np.array([0.1, 0.2, 0.0]), np.array([0, 0, 1.0]))
@@ -30,14 +30,14 @@ def test_zoomed_out_sees_farther_to_each_side():
     np.testing.assert_allclose(far - [CAMERA.cx, CAMERA.cy], (near - [CAMERA.cx, CAMERA.cy]) / 1.5, atol=1e-4)
 
 
-def test_cameras_that_are_spread_out_are_those_at_the_ends_first():
+def test_cameras_from_far_apart_begin_in_the_middle_and_go_to_the_ends():
     def at(x: float) -> Camera:
         pose = look_at(np.array([x, -3.0, 0]), np.array([x, 0, 0]), np.array([0, 0, 1.0]))
         return replace(CAMERA, world_from_camera=pose)
 
-    line = [at(x) for x in (0.0, 1.0, 2.5, 6.5, 5.5)]
-    assert spread_out(line, 3) == [3, 0, 2]
-    assert sorted(spread_out(line, 9)) == [0, 1, 2, 3, 4]
+    line = [at(x) for x in (0.0, 1.0, 3.5, 6.5, 5.3)]
+    assert from_far_apart(line) == [2, 0, 3, 4, 1]
+    assert sorted(from_far_apart([at(1.0)] * 3)) == [0, 1, 2] and from_far_apart([]) == []
 
 
 @pytest.mark.parametrize("chosen", [[0], [390, 0, 5, 5], list(range(7, 390, 3))])
