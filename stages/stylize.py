@@ -65,7 +65,7 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
     return digests_of_files(config) | references
 
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=14, writes="field", outside=_outside)
+SPEC = Spec(stage="stylize", verb="stylize", revision=15, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 
@@ -157,8 +157,8 @@ def _problem(
     views, threads = scene.splits["train"], torch.get_num_threads()
     long_side = max(max(camera.width, camera.height) for camera in scene.cameras)
     cameras = [scene.cameras[i] for i in views]
-    if field.opaque_background and region is None and type(config) in (ArfConfig, DesrfConfig):
-        cameras += margin_cameras(cameras)
+    if field.opaque_background and region is None and isinstance(config, ArfConfig) and config.margin > 0:
+        cameras += margin_cameras(cameras, config.margin)
 
     def photo(place: int) -> np.ndarray:
         if place < len(views):
@@ -209,7 +209,8 @@ def _method(
     references = read_references(scene, config.reference)
     if not references:
         threshold = problem.settings.weight_threshold
-        view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)
+        cameras = problem.cameras[: len(scene.splits["train"])]
+        view = chosen_view(scene, problem.field, cameras, config, threshold, problem.threads, region)
         context.progress.say(f"making view {problem.cameras[view].name} the reference")
         references = {view: None}
         if config.reference_by == "adain" and problem.style_image is not None:

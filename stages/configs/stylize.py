@@ -190,6 +190,12 @@ class ArfConfig(StylizeConfig):
         help="learning rate of its finest level, relative to levels five times as coarse or more; views under 512 "
         "pixels slow fewer levels, and less",
     )
+    margin: float = advanced(
+        0.3,
+        RAYS,
+        help="of whole captures: also stylize views that see this much farther to each side than the photos, where "
+        "camera paths may look (0: the photos' views alone)",
+    )
     dilation: int = advanced(2, RAYS, help="dilated: every Nth ray in both axes; random, patch: as few rays")
     blur: int = advanced(
         0, RAYS, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)"
@@ -200,6 +206,8 @@ class ArfConfig(StylizeConfig):
         super().__post_init__()
         if not 0 < self.detail_rate <= 1:
             raise ValueError("detail_rate must be over 0 and at most 1")
+        if not 0 <= self.margin <= 1:
+            raise ValueError("margin must be in 0..1")
         if self.dilation < 1:
             raise ValueError("dilation must be at least 1")
         if self.blur < 0 or (self.blur > 0 and self.blur % 2 == 0):
@@ -274,6 +282,9 @@ class RefNprConfig(ArfConfig):
     )
     detail_rate: float = advanced(
         1.0, GRID, help="learning rate of its finest level, relative to levels five times as coarse or more"
+    )
+    margin: float = advanced(
+        0.0, RAYS, help="of whole captures: also stylize views that see this much farther to each side than the photos"
     )
     reference_steps: int = advanced(60, REFERENCE, help="steps of its pixels, at most a third of the budget")
     image_rate: float = advanced(0.03, REFERENCE, help="learning rate of its pixels")

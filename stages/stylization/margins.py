@@ -5,9 +5,9 @@ As the fit shows them, they are stylized like photos; else the new colors would 
 
 from stylerf.geometry.cameras import Camera, from_far_apart
 
-VIEWS, WIDER = 4, 1.3
+VIEWS = 4
 
 
-def margin_cameras(cameras: list[Camera]) -> list[Camera]:
-    """Return VIEWS of the cameras, far from each other, that see WIDER times as far to each side."""
-    return [cameras[i].zoomed_out(WIDER) for i in from_far_apart(cameras)[:VIEWS]]
+def margin_cameras(cameras: list[Camera], margin: float) -> list[Camera]:
+    """Return VIEWS of the cameras, far from each other, that see 1 + margin times as far to each side."""
+    return [cameras[i].zoomed_out(1 + margin) for i in from_far_apart(cameras)[:VIEWS]]

@@ -71,6 +71,7 @@ def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, 
     ("flags", "words"),
     [
         (("--blur", "2"), "blur must be odd"), (("--blur", "-1"), "blur must be odd"),
+        (("--margin", "-0.1"), "margin must be in 0..1"), (("--margin", "1.1"), "margin must be in 0..1"),
         (("--dilation", "0"), "dilation must be at least 1"), (("--budget", "soon"), "neither a time"),
         (("--finest", "8"), "16 to 4096 cells"), (("--style-scale", "0"), "style_scale > 0"),
         (("--style-rows", "0"), "style_rows at least 1"), (("--style-basis", "-1"), "style_basis must not be negative"),

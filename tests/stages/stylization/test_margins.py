@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stages.configs.stylize import ArfConfig, RefNprConfig
-from stages.stylization.margins import VIEWS, WIDER, margin_cameras
+from stages.stylization.margins import VIEWS, margin_cameras
 from stages.stylize import _problem
 from stylerf.rendering.view import render_view
 from tests.stylerf.small import SPACES, field_of
@@ -16,11 +16,11 @@ from tests.stylerf.training.scenes import dome
 
 def test_margins_are_seen_by_cameras_far_from_each_other_that_see_farther():
     cameras = dome(9, 0)
-    made = margin_cameras(cameras)
+    made = margin_cameras(cameras, 0.3)
     assert len({camera.name for camera in made}) == VIEWS
     for camera in made:
         original = next(one for one in cameras if one.name == camera.name)
-        assert camera.fx == original.fx / WIDER and camera.fy == original.fy / WIDER
+        assert camera.fx == original.fx / 1.3 and camera.fy == original.fy / 1.3
         assert (camera.width, camera.cx) == (original.width, original.cx)
 
 
@@ -29,6 +29,8 @@ def test_margins_are_seen_by_cameras_far_from_each_other_that_see_farther():
     [
         ("contraction", ArfConfig(style="x"), None, VIEWS),
         ("frustum", ArfConfig(style="x"), None, VIEWS),
+        ("contraction", ArfConfig(style="x", margin=0.0), None, 0),
+        ("contraction", RefNprConfig(method="refnpr", style="x", margin=0.2), None, VIEWS),
         ("box", ArfConfig(style="x"), None, 0),
         ("contraction", RefNprConfig(method="refnpr", style="x"), None, 0),
         ("contraction", ArfConfig(style="x"), SimpleNamespace(edit=np.ones((4, 4, 4), bool)), 0),
