@@ -6,11 +6,11 @@ distance to the nearest occupied cell (0: occupied).
 """
 
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
 from stylerf.kernels.cpu.march import OPTICAL_SCALE
+from stylerf.kernels.cpu.occupancy import chebyshev_distances
 
 OPAQUE_STEP = 0.01
 UNSEEN = np.inf  # density of a cell that has not been evaluated: it counts as occupied
@@ -88,12 +88,9 @@ class OccupancyGrid:
         """Recompute `distances` from occupied cells [cells^3] bool, without those known to be clear."""
         if self.clear is not None:
             occupied = occupied & ~self.clear
-        grid = ~occupied.reshape((self.cells,) * 3)
-        if grid.all():  # nothing is occupied: there is no cell to measure a distance to
-            self.distances = np.full(self.cells**3, 255, np.uint8)
-            return
-        distance = distance_transform_cdt(grid, metric="chessboard")
-        self.distances = np.minimum(distance, 255).astype(np.uint8).ravel()
+        grid = (self.cells,) * 3
+        self.distances = np.empty(self.cells**3, np.uint8)
+        chebyshev_distances(occupied.reshape(grid), self.distances.reshape(grid))
 
     @property
     def share(self) -> float:

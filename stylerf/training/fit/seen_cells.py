@@ -62,8 +62,10 @@ class SeenCells:
 
     def unseen(self) -> torch.Tensor:
         """Cells [cells^3] bool that were not seen lately and touch none that was: surfaces may still move a little."""
-        lately = (self.ages < PATIENCE).to(torch.float32).view(1, 1, self.cells, self.cells, self.cells)
+        near = (self.ages < PATIENCE).view((self.cells,) * 3)
         for axis in range(3):  # a cube's maximum, axis by axis
-            size = [3 if a == axis else 1 for a in range(3)]
-            lately = F.max_pool3d(lately, size, 1, [s // 2 for s in size])
-        return lately.reshape(-1) == 0
+            own, rest = near, self.cells - 1
+            near = own.clone()
+            near.narrow(axis, 1, rest).logical_or_(own.narrow(axis, 0, rest))
+            near.narrow(axis, 0, rest).logical_or_(own.narrow(axis, 1, rest))
+        return near.logical_not().reshape(-1)
