@@ -45,7 +45,7 @@ from stylerf.rendering.deep import DeepCollector, DeepView
 from stylerf.rendering.view import RenderedView, depth_picture, displacement_picture, render_view
 
 SPEC = Spec(
-    stage="render", verb="render", revision=5, writes="frames",
+    stage="render", verb="render", revision=6, writes="frames",
     outside=lambda config: {"path_digest": pinned(config).path_digest},
 )  # fmt: skip
 Rendered = tuple[RenderedView, DeepView | None]

@@ -46,6 +46,6 @@ def _chosen(path: str, frames: str, count: int) -> range:
 
 
 def focus_depth(scene: SceneData) -> float:
-    """Return the depth that spirals turn around, scene units: the mean of near and far in inverse depth."""
+    """Return the depth that paths of forward-facing captures turn around: near and far's mean in inverse depth."""
     bounds = scene.bounds
     return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from schemas.errors import StylerfError
+from stages.artifacts.camera_shots import focus_depth
 from stages.viewing.cameras import Pose, level_up
 from stages.viewing.commands import COMMAND_WIDTH, wrapped
 from stages.viewing.desk import Desk
 from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
 from stylerf.errors import InvalidValue
-from stylerf.geometry.camera_paths import average_up, focus_point
+from stylerf.geometry.camera_paths import average_up, looked_at
 
 MOST_FRUSTA = 60
 THUMBNAIL = 96  # pixels of its longer side
@@ -63,7 +64,7 @@ class Page:
         scene = self.desk.library.scene
         cameras = [scene.cameras[i] for i in scene.splits["train"]] or scene.cameras
         first = cameras[0]
-        ahead = float((focus_point(cameras) - first.center) @ first.forward)
+        ahead = float((looked_at(cameras, focus_depth(scene)) - first.center) @ first.forward)
         away = ahead if ahead > 0 else 1.0
         self.up = average_up(cameras)
         self.server.scene.set_up_direction(tuple(self.up.tolist()))

@@ -19,14 +19,14 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
         cameras: The scene's cameras.
         index: Frame, 0 to count - 1.
         count: Number of frames.
-        focus_depth: Distance from the average camera to the point that a spiral looks at, scene units; if the
-            cameras look at one place, the spiral does too.
+        focus_depth: Distance from the average camera to the point that orbits and spirals look at, scene units, if
+            the cameras look in one direction rather than at one place.
     """
     if not cameras:
         raise InvalidValue("a camera path needs the scene's cameras; there are none")
     # Orbit and spiral close, so that frame `count` would be frame 0 again; interpolate ends at its last camera.
     if kind == "orbit":
-        pose = _orbit_pose(cameras, index / count)
+        pose = _orbit_pose(cameras, index / count, focus_depth)
     elif kind == "spiral":
         pose = _spiral_pose(cameras, index / count, focus_depth)
     elif kind == "interpolate":
@@ -61,12 +61,26 @@ def average_up(cameras: list[Camera]) -> np.ndarray:
     return _unit(-np.array([c.world_from_camera[:3, 1] for c in cameras]).mean(0))
 
 
-def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """Orbit the focus at the cameras' height and distance.
+def looked_at(cameras: list[Camera], focus_depth: float) -> np.ndarray:
+    """Return the place that the cameras look at, [3]; of cameras in one direction, at focus_depth from their mean."""
+    centers = np.array([c.center for c in cameras])
+    axes = np.array([c.forward for c in cameras])
+    focus, mean = focus_point(cameras), axes.mean(0)
+    length = np.linalg.norm(mean)
+    apart = np.degrees(np.arccos(np.clip(axes @ mean / max(length, 1e-12), -1, 1))).mean()
+    ahead = ((focus - centers) * axes).sum(1) > 0
+    # Axes that part meet behind the cameras.
+    if apart > PARALLEL and (ahead.mean() > 0.5 or length < 0.5):
+        return focus
+    return centers.mean(0) + _unit(mean) * focus_depth
+
+
+def _orbit_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
+    """Orbit the focus at the cameras' median height and distance.
 
     A full circle if the cameras surround the focus, else a swing along their arc and back.
     """
-    focus, up = focus_point(cameras), average_up(cameras)
+    focus, up = looked_at(cameras, focus_depth), average_up(cameras)
     offsets = np.array([c.center for c in cameras]) - focus
     heights = offsets @ up
     flat = offsets - heights[:, None] * up
@@ -87,7 +101,8 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
         width = 2 * np.pi - gaps.max()
         # From 5 to 95 % of the arc and back, slow at both ends.
         angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
-    radius, height = float(np.median(distances)), float(np.median(heights))
+    away, height = float(np.median(np.linalg.norm(offsets, axis=1))), float(np.median(heights))
+    radius = float(np.sqrt(max(away**2 - height**2, 0)))
     center = focus + radius * (np.cos(angle) * first + np.sin(angle) * second) + height * up
     return look_at(center, focus, up)
 
@@ -95,13 +110,8 @@ def _orbit_pose(cameras: list[Camera], share: float) -> np.ndarray:
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
     """Make two turns of an ellipse in the plane of the cameras, as wide as 80 % of them, around one point (LLFF)."""
     poses = np.array([c.world_from_camera for c in cameras])
-    center, axes, up = poses[:, :3, 3].mean(0), poses[:, :3, 2], average_up(cameras)
-    forward = _unit(axes.mean(0))
-    target = center + forward * focus_depth
-    if np.degrees(np.arccos(np.clip(axes @ forward, -1, 1))).mean() > PARALLEL:
-        target = focus_point(cameras)
-        forward = _unit(target - center)
-    base = look_at(center, center + forward, up)
+    center, up, target = poses[:, :3, 3].mean(0), average_up(cameras), looked_at(cameras, focus_depth)
+    base = look_at(center, target, up)
     local = (poses[:, :3, 3] - center) @ base[:3, :3]
     reach = np.percentile(np.abs(local), 80, axis=0)
     angle = 4 * np.pi * share

@@ -106,6 +106,25 @@ def test_an_orbit_of_an_arc_swings_within_it_and_comes_back():
     assert abs(angles[0] - angles[-1]) < 2 and np.abs(np.diff(angles)).max() < 10  # no jump where it closes
 
 
+def parting() -> list[Camera]:
+    """On an arc that looks outward: their axes meet behind them."""
+    return [camera(c.center, 2 * c.center - FOCUS) for c in ring(range(-30, 31, 10), height=0.0)]
+
+
+@pytest.mark.parametrize("cameras", [facing(), parting()])
+def test_cameras_that_look_in_one_direction_swing_before_what_they_see(cameras):
+    """Whichever way their axes meet: an orbit around that place would look away from the photos' subject."""
+    frames = path("orbit", cameras, 20, focus_depth=6.0)
+    mean = np.array([c.center for c in cameras]).mean(0)
+    forward = np.array([c.forward for c in cameras]).mean(0)
+    target = mean + 6.0 * forward / np.linalg.norm(forward)
+    for frame in frames:
+        toward = target - frame.center
+        np.testing.assert_allclose(frame.forward, toward / np.linalg.norm(toward), atol=1e-9)
+    widest = max(np.linalg.norm(c.center - mean) for c in cameras)
+    assert 0.3 * widest < max(np.linalg.norm(f.center - mean) for f in frames) < 1.3 * widest
+
+
 def test_a_spiral_looks_at_one_point_and_makes_two_turns():
     frames = path("spiral", facing(), 24, focus_depth=6.0)
     target = np.array([0, 6.0, 0])
