@@ -185,10 +185,10 @@ class ArfConfig(StylizeConfig):
         help="rays of a view that receive gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
     detail_rate: float = advanced(
-        0.1,
+        -1.0,
         GRID,
-        help="learning rate of its finest level, relative to levels five times as coarse or more; views under 512 "
-        "pixels slow fewer levels, and less",
+        help="learning rate of its finest level, relative to levels five times as coarse or more (-1: 0.1 for a smooth "
+        "style image to 1 for rough paint); views under 512 pixels slow fewer levels, and less",
     )
     margin: float = advanced(
         0.3,
@@ -204,8 +204,8 @@ class ArfConfig(StylizeConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.detail_rate <= 1:
-            raise ValueError("detail_rate must be over 0 and at most 1")
+        if not (0 < self.detail_rate <= 1 or self.detail_rate == -1):
+            raise ValueError("detail_rate must be over 0 and at most 1 (or -1: by the style image)")
         if not 0 <= self.margin <= 1:
             raise ValueError("margin must be in 0..1")
         if self.dilation < 1:

@@ -18,6 +18,7 @@ from stylerf.fields.hash_grid import DETAIL, HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of
+from stylerf.style.roughness import roughness
 from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.settings import (
     ArfSettings,
@@ -31,6 +32,8 @@ from stylerf.training.stylize.trainer import StylizationTrainer
 
 SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells per pixel width
+# The finest colors learn at a style image's roughness over ROUGH, within bounds (decision 0057).
+ROUGH, DETAIL_RATES = 0.05, (0.1, 1.0)
 FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
@@ -148,8 +151,23 @@ def same_named(config: Any, kind: type[Settings], **others: Any) -> Settings:
     return kind(**(shared | {"steps": steps, "seconds": seconds or 1.0} | others))
 
 
+def detail_rate_of(config: ArfConfig, style_image: torch.Tensor | None, long_side: int) -> float:
+    """Learning rate of the finest colors relative to coarse ones. long_side: of the views whose features are taken."""
+    if config.detail_rate != -1:
+        return config.detail_rate
+    slowest, full = DETAIL_RATES
+    if style_image is None:
+        return slowest
+    rough = roughness(style_image, round(long_side * config.style_scale), config.stroke)
+    return min(max(rough / ROUGH, slowest), full)
+
+
 def settings_of(
-    config: StylizeConfig, long_side: int, opaque_background: bool, region: bool = False
+    config: StylizeConfig,
+    long_side: int,
+    opaque_background: bool,
+    region: bool = False,
+    style_image: torch.Tensor | None = None,
 ) -> ImageStyleSettings:
     """The settings of a stylization.
 
@@ -157,6 +175,7 @@ def settings_of(
         long_side: Longest side of the views, pixels.
         opaque_background: The field is a capture, not an object alone.
         region: Only a region is stylized; its colors equal the photos' from the start unless they are matched.
+        style_image: [3 or 4, h, w]; None counts as smooth.
     """
     loss, match, kind = image_loss(config), match_of(config), SETTINGS[type(config)]
     defaults = of_image = DEFAULTS[loss]
@@ -176,10 +195,13 @@ def settings_of(
         variation_weight = config.variation_weight
     photo = found["content_weight"], variation_weight, found["color_weight"], found["structure_weight"]
     weights = StyleWeights(config.style_weight, *photo)
+    feature_side = FEATURE_SIDE if loss == "transport" else SMALL_VIEW
+    feature_scale = config.feature_scale or min(1.0, max(0.5, feature_side / long_side))
     own: dict[str, Any] = {}
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
         # Strokes are as fine a part of a small picture as of a large one (decision 0052).
+        own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))
         own["detail"] = DETAIL * min(1.0, long_side / FEATURE_SIDE)
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
@@ -198,8 +220,7 @@ def settings_of(
         loss=loss,
         variation=variation,
         coarse=found["coarse"],
-        feature_scale=config.feature_scale
-        or min(1.0, max(0.5, (FEATURE_SIDE if loss == "transport" else SMALL_VIEW) / long_side)),
+        feature_scale=feature_scale,
         **own,
     )
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from stages.configs.stylize import COLOR_CELLS, CONFIGS, ArfConfig, DesrfConfig
 from stages.stylization.settings import new_color, settings_of, strategy_of
@@ -83,6 +84,22 @@ def test_shapes_of_captures_learn_faster_than_those_of_objects():
 
 def test_smaller_views_slow_fewer_levels_of_the_colors():
     assert [settings_of(ArfConfig(style="x"), side, True).detail for side in (1024, 512, 256)] == [5.0, 5.0, 2.5]
+
+
+def test_finest_colors_learn_as_fast_as_the_style_image_is_rough():
+    """A flat one slows them to a tenth, noise as strong as canvas does not; an option decides before either."""
+    flat = torch.full((3, 64, 96), 0.5)
+    noise = torch.from_numpy(np.random.default_rng(0).random((3, 96, 144)).astype(np.float32))
+    faint = 0.5 + 0.15 * (noise - 0.5)
+
+    def rate(image, **options):
+        return settings_of(ArfConfig(style="x", **options), 96, True, style_image=image).detail_rate
+
+    assert rate(flat) == rate(None) == 0.1 and rate(noise) == 1.0
+    assert 0.15 < rate(faint) < 0.6
+    assert rate(faint, stroke=3.0) < 0.7 * rate(faint)  # larger strokes are smoother
+    assert rate(noise, detail_rate=0.3) == 0.3
+    assert settings_of(CONFIGS["refnpr"](style="x"), 96, True, style_image=flat).detail_rate == 1.0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,24 @@
+"""Roughness of a style image: how much of it is fine brushwork, hatching, canvas or paper, a pixel or two wide."""
+
+import numpy as np
+from scipy.ndimage import median_filter
+from torch import Tensor
+
+from stylerf.srgb import LUMA
+from stylerf.style.style_features import stroke_picture
+
+
+def roughness(style_image: Tensor, long_side: int, stroke: float = 1.0) -> float:
+    """Return the mean absolute difference of luma from the median of its 3x3 neighbors: 0 (smooth) to 1.
+
+    A smooth painting has less than 0.01, a woodcut or stained glass 0.02, thick paint on canvas 0.05 and more.
+
+    Args:
+        style_image: [3, h, w] or [4, h, w], sRGB 0..1; where alpha is below one half, nothing counts.
+        long_side, stroke: The size at which it is looked at, see stroke_picture.
+    """
+    picture = stroke_picture(style_image, long_side, stroke).numpy()
+    luma = np.tensordot(np.asarray(LUMA, np.float32), picture[:3], 1)
+    fine = np.abs(luma - median_filter(luma, 3))
+    counts = picture[3] >= 0.5 if len(picture) == 4 else np.ones(luma.shape, bool)
+    return float(fine[counts].mean()) if counts.any() else 0.0
