@@ -72,7 +72,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
     options = {"rays" if k == "strategy" else k: v for k, v in CASES[case].items()}
     config = CONFIGS[method](style=style, budget="100000", **options)
     level, found = level_of(background), resolve(None)
-    views = scene.splits["train"]
+    views, style_image = scene.splits["train"], read_style_image(Path(style))
     extractor = FeatureExtractor(found.state, image_layers(config, found.state), found.kind)
     long_side = max(max(c.width, c.height) for c in scene.cameras)
     problem = StyleProblem(
@@ -80,10 +80,10 @@ def stylizer_for(work: str, style: str, method: str, case: str):
         [scene.cameras[i] for i in views],
         [photo_over(scene, i, level) for i in views],
         level,
-        settings_of(config, long_side, field.opaque_background),
+        settings_of(config, long_side, field.opaque_background, style_image=style_image),
         0,
         threads,
-        read_style_image(Path(style)),
+        style_image,
         Deformation.create(np.random.default_rng([0, 8])) if method == "desrf" else None,
     )
     styled = StyledScene(problem, lambda generator, made: new_color(config, generator, made.pixel_cells()))

@@ -209,8 +209,7 @@ def _method(
     references = read_references(scene, config.reference)
     if not references:
         threshold = problem.settings.weight_threshold
-        cameras = problem.cameras[: len(scene.splits["train"])]
-        view = chosen_view(scene, problem.field, cameras, config, threshold, problem.threads, region)
+        view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)
         context.progress.say(f"making view {problem.cameras[view].name} the reference")
         references = {view: None}
         if config.reference_by == "adain" and problem.style_image is not None:

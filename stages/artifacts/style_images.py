@@ -149,11 +149,12 @@ def chosen_view(
 ) -> int:
     """Place among the training views of the one to make a reference: --reference-view, or the best seen by all.
 
+    cameras: those of the training views first; others have no photo, and cannot be it.
     region: what is to be seen, rather than the scene.
     """
     if config.reference_view:
         return training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
-    seen = few_points(field, cameras, weight_threshold, threads)
+    seen = few_points(field, cameras[: len(scene.splits["train"])], weight_threshold, threads)
     if region is not None:
         seen = [replace(one, there=one.there & region.holds(one.places)) for one in seen]
     return best_reference(seen)

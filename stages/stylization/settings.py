@@ -200,8 +200,8 @@ def settings_of(
     own: dict[str, Any] = {}
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
-        # Strokes are as fine a part of a small picture as of a large one (decision 0052).
         own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))
+        # Strokes are as fine a part of a small picture as of a large one (decision 0052).
         own["detail"] = DETAIL * min(1.0, long_side / FEATURE_SIDE)
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)

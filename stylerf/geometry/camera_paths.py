@@ -69,7 +69,7 @@ def looked_at(cameras: list[Camera], focus_depth: float) -> np.ndarray:
     length = np.linalg.norm(mean)
     apart = np.degrees(np.arccos(np.clip(axes @ mean / max(length, 1e-12), -1, 1))).mean()
     ahead = ((focus - centers) * axes).sum(1) > 0
-    # Axes that part meet behind the cameras.
+    # Axes that part meet behind the cameras; those of cameras all around have no mean to go by.
     if apart > PARALLEL and (ahead.mean() > 0.5 or length < 0.5):
         return focus
     return centers.mean(0) + _unit(mean) * focus_depth

@@ -7,6 +7,8 @@ from torch import Tensor
 from stylerf.srgb import LUMA
 from stylerf.style.style_features import stroke_picture
 
+MOST_PIXELS = 2_000_000  # of a picture, beyond which bands of it represent the whole
+
 
 def roughness(style_image: Tensor, long_side: int, stroke: float = 1.0) -> float:
     """Return the mean absolute difference of luma from the median of its 3x3 neighbors: 0 (smooth) to 1.
@@ -18,7 +20,12 @@ def roughness(style_image: Tensor, long_side: int, stroke: float = 1.0) -> float
         long_side, stroke: The size at which it is looked at, see stroke_picture.
     """
     picture = stroke_picture(style_image, long_side, stroke).numpy()
-    luma = np.tensordot(np.asarray(LUMA, np.float32), picture[:3], 1)
-    fine = np.abs(luma - median_filter(luma, 3))
-    counts = picture[3] >= 0.5 if len(picture) == 4 else np.ones(luma.shape, bool)
-    return float(fine[counts].mean()) if counts.any() else 0.0
+    among = -(-picture[0].size // MOST_PIXELS)  # one band in so many
+    bands = np.array_split(picture, 8 * among, axis=1)[::among] if among > 1 else [picture]
+    found = []
+    for band in bands:
+        luma = np.tensordot(np.asarray(LUMA, np.float32), band[:3], 1)
+        fine = np.abs(luma - median_filter(luma, 3))
+        found.append(fine[band[3] >= 0.5] if len(band) == 4 else fine.ravel())
+    values = np.concatenate(found)
+    return float(values.mean()) if values.size else 0.0

@@ -9,10 +9,12 @@ import torch
 
 from schemas.errors import BadInput
 from schemas.images import write_png
-from stages.artifacts.style_images import digest_of, read_references, read_style_image, training_view
+from stages.artifacts.style_images import chosen_view, digest_of, read_references, read_style_image, training_view
 from stages.configs.stylize import CONFIGS, RefNprConfig, SnerfConfig
 from stages.stylization.settings import coarse_layers, image_layers, image_loss, match_of, reference_layers, settings_of
 from stylerf.style.feature_extractor import LAYERS, layers_of
+from tests.stylerf.small import SPACES, field_of
+from tests.stylerf.training.scenes import dome
 
 WEIGHTS = {f"{layer}.weight": torch.zeros(1) for layer in LAYERS}
 
@@ -30,6 +32,18 @@ def test_views_go_by_name_and_else_by_number():
     for name, words in (("b", "held out"), ("#1", "held out"), *unknown):
         with pytest.raises(BadInput, match=words):
             training_view(scene(), name, "--x")
+
+
+def test_a_view_without_a_photo_is_no_reference():
+    """However much more of the scene it shows."""
+    wide = dome(3, 0)[0]
+    cameras = [*[wide.zoomed_out(0.5)] * 3, wide]
+    field, config = field_of(SPACES["contraction"], 3), RefNprConfig(method="refnpr", style="x")
+
+    def chosen(train: list[int]) -> int:
+        return chosen_view(SimpleNamespace(splits={"train": train}), field, cameras, config, 0.01, 1)
+
+    assert chosen([0, 1, 2, 3]) == 3 and chosen([0, 1, 2]) < 3
 
 
 def test_references_are_rescaled_but_other_aspect_ratios_are_refused(tmp_path):

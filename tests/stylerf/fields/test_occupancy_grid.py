@@ -17,6 +17,16 @@ def test_distances_are_chebyshev_distances():
     assert (made.distances == 255).all() and made.share == 0
 
 
+def test_distances_end_at_255():
+    cells = 260
+    made, full = OccupancyGrid(cells), np.zeros(cells**3, bool)
+    full[0] = True
+    made.set_occupied(full)
+    ways = np.minimum(np.arange(cells), 255).astype(np.uint8)
+    expected = np.maximum(np.maximum(ways[:, None, None], ways[:, None]), ways)
+    assert np.array_equal(made.distances, expected.ravel())
+
+
 def test_a_cell_counts_where_a_step_would_be_a_hundredth_opaque():
     made, step = OccupancyGrid(4), 1 / 50
     bound = -np.log(1 - OPAQUE_STEP) / (100 * step)  # 1 - exp(-100 sigma step)

@@ -36,6 +36,14 @@ def test_it_is_that_of_the_size_which_is_matched():
     assert roughness(image, 120, 2.0) == pytest.approx(large, rel=1e-5)
 
 
+def test_of_a_large_picture_bands_are_looked_at(monkeypatch):
+    image = noise(400, 600, 0.1)
+    image[:, :200] *= 0.5  # less rough above
+    whole = roughness(image, 600)
+    monkeypatch.setattr("stylerf.style.roughness.MOST_PIXELS", 120_000)
+    assert roughness(image, 600) == pytest.approx(whole, rel=0.05) and roughness(image, 600) != whole
+
+
 def test_transparent_parts_do_not_count():
     image = torch.cat([noise(40, 60, 0.1), torch.ones(1, 40, 60)])
     image[3, :, 30:] = 0
