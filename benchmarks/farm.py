@@ -7,9 +7,9 @@ Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps
 that does not exist is run undisturbed. Then it is run in a second folder, where a third of all attempts are ended by
 SIGKILL at a random share of the median time of their verb, and where `stylerf farm` is itself killed twice, Snakemake
 and all, and started again; while it runs, the same command is started a second time and must be refused. At the end
-the digests of all files of all artifacts must be those of the undisturbed run, nothing may be left of interrupted
-runs, `stylerf verify` must find every work folder sound, and the bad scene alone must be named. Jobs are children of
-a server that has imported stylerf and loaded its kernels, so that a job takes seconds.
+the digests of all files of all artifacts must be those of the undisturbed run, and of evaluations the figures; nothing
+may be left of interrupted runs, `stylerf verify` must find every work folder sound, and the bad scene alone must be
+named. Jobs are children of a server that has imported stylerf and loaded its kernels, so that a job takes seconds.
 
 Protocol of `slurm`: such a table is run undisturbed on this machine, then with --profile slurm, where sbatch, sacct,
 scancel and srun are stand-ins (tests/slurm_stand_in.py) that run jobs here, late; 15 % of them are preempted and
@@ -59,7 +59,7 @@ def farm(
 
 def small_table(folder: Path, scenes: int, **more: object) -> Path:
     """A table of tiny captures, one of which does not exist."""
-    table = write_table(folder, scenes, 2, eval=False, **more)
+    table = write_table(folder, scenes, 2, **more)
     content = json.loads(table.read_text())
     content["scenes"]["bad"] = "nowhere"
     table.write_text(json.dumps(content))
@@ -84,7 +84,7 @@ def result_of(command: "subprocess.Popen[bytes]") -> dict:
 
 
 def digests(table: Path, scenes: int) -> dict[str, dict]:
-    """Digests of the files of all artifacts, by scene."""
+    """What `contents` finds, by scene."""
     return {f"scene{number}": contents(table.with_suffix("") / f"scene{number}") for number in range(scenes)}
 
 
@@ -168,7 +168,7 @@ def kills(scenes: int, seed: int, folder: Path) -> dict:
 
 def slurm(scenes: int, seed: int, folder: Path) -> dict:
     """A table on the stand-in; what happened."""
-    shape = {"methods": {"arf": {}}, "render": {**RENDER, "shards": 1}}
+    shape = {"eval": False, "methods": {"arf": {}}, "render": {**RENDER, "shards": 1}}
     tables = [small_table(folder / name, scenes, **shape) for name in ("undisturbed", "cluster")]
     server = JobServer(folder / "server", warm=warming(folder / "warming"))
     first = result_of(farm(tables[0], server, folder / "first.log"))

@@ -1,4 +1,4 @@
-"""Figures of a table: mean and spread over seeds for each scene, style and method; ranks of methods; Pareto fronts."""
+"""Figures of a table: mean and spread over seeds of stylizations and of edits; ranks; Pareto fronts."""
 
 import statistics
 from collections import defaultdict
@@ -12,10 +12,14 @@ from stylerf.metrics.pareto import pareto_front
 
 # Style, by a network that no method matched; structure; consistency; then the cost.
 COLUMNS = ("sifid", "judge_gram", "edges_kept", "short_rmse", "long_rmse", "seconds", "peak_memory_mb")
+# Of local edits: what changed, what should not have, consistency; then the cost. All edits of a scene share one block.
+EDIT_COLUMNS = (
+    "change_lab", "background_ratio", "bleeding", "edit_short_rmse", "edit_long_rmse", "seconds", "peak_memory_mb",
+)  # fmt: skip
 COSTS = {"seconds": ("Time", "s", "lower", 0), "peak_memory_mb": ("Peak memory", "MB", "lower", 0)}
 # Consistency and structure are shown against style alone: blur is consistent.
 STYLE, AGAINST = "sifid", ("seconds", "edges_kept", "short_rmse", "long_rmse")
-Block = tuple[str, str]  # scene and style
+Block = tuple[str, str]  # scene and style; no style for edits
 
 
 @dataclass(frozen=True)
@@ -29,8 +33,9 @@ class Value:
 
 @dataclass(frozen=True)
 class Cell:
-    """One scene, style and method: values over seeds by column, and what is left out.
+    """One scene, style and method, or one scene and edit: values over seeds by column.
 
+    style: empty for an edit, whose name is the method.
     protocols: of the metrics: values compare only within one.
     """
 
@@ -71,7 +76,7 @@ def value_of(values: Sequence[float]) -> Value:
     return Value(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None, len(values))
 
 
-def cells_of(runs: Sequence[tuple[Run, Axes]]) -> list[Cell]:
+def cells_of(runs: Sequence[tuple[Run, Axes]], columns: Sequence[str] = COLUMNS) -> list[Cell]:
     """Return a cell for each scene, style and method, in the order of the runs.
 
     A metric is averaged over the seeds that share the protocol of the first; those that miss views are left out.
@@ -79,12 +84,14 @@ def cells_of(runs: Sequence[tuple[Run, Axes]]) -> list[Cell]:
     groups: dict[tuple[str, str, str], list[tuple[Run, Axes]]] = defaultdict(list)
     for run, axes in runs:
         groups[axes.scene, axes.style, axes.method].append((run, axes))
-    return [_cell(*key, members) for key, members in groups.items()]
+    return [_cell(*key, members, columns) for key, members in groups.items()]
 
 
-def _cell(scene: str, style: str, method: str, members: Sequence[tuple[Run, Axes]]) -> Cell:
+def _cell(
+    scene: str, style: str, method: str, members: Sequence[tuple[Run, Axes]], columns: Sequence[str]
+) -> Cell:
     values, protocols = {}, {}
-    for column in COLUMNS:
+    for column in columns:
         if column in COSTS:
             found = [cost for run, _ in members if (cost := run.costs.get(column)) is not None]
         else:

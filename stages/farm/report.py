@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from schemas.atomic_write import sweeping, write_bytes, write_json
@@ -18,6 +18,7 @@ from stages.farm.cells import (
     AGAINST,
     COLUMNS,
     COSTS,
+    EDIT_COLUMNS,
     STYLE,
     Cell,
     Standing,
@@ -54,24 +55,27 @@ def written_report(table: Table) -> dict[str, Any]:
     runs, _ = runs_of(works)
     # runs_of labels works by their folders' names, which are the scenes' names.
     known = [(run, axes[run.work, run.name]) for run in runs if (run.work, run.name) in axes]
-    placed = [(run, at) for run, at in known if run.family == STYLIZATIONS and at.method != EDIT]
-    cells = cells_of(placed)
-    better = {column: better_of([run for run, _ in placed], column) for column in COLUMNS}
-    standings = standings_of(cells, better)
-    fronts = fronts_of(standings, better)
-    gaps = _gaps(table, known, cells)
-    labels = _labels([run for run, _ in placed])
-    columns = [column for column in COLUMNS if any(column in cell.values for cell in cells)]
+    stylized = [(run, at) for run, at in known if run.family == STYLIZATIONS and at.method != EDIT]
+    styles = _ranking(stylized, COLUMNS)
+    edits = _ranking([(run, replace(at, style="", method=at.style)) for run, at in known if at.method == EDIT],
+                     EDIT_COLUMNS)  # fmt: skip
+    fronts = fronts_of(styles.standings, styles.better)
+    gaps = [*_fields_missing(table, known), *_values_missing(styles.cells, COLUMNS),
+            *_values_missing(edits.cells, EDIT_COLUMNS)]  # fmt: skip
     with sweeping((out,)):
         sheet, unseen = _sheet(table, runs, works, axes)
-        chart = _chart(standings, fronts, labels)
-        write_csv(out / "table.csv", _rows(cells))
+        chart = _chart(styles.standings, fronts, styles.labels)
+        write_csv(out / "table.csv", [*_rows(styles, COLUMNS), *_rows(edits, EDIT_COLUMNS)])
         content = {
             "name": table.file.name,
             "seeds": table.seeds,
-            "cells": [asdict(cell) for cell in cells],
-            "standings": [asdict(one) for one in standings],
+            "cells": [asdict(cell) for cell in styles.cells],
+            "standings": [asdict(one) for one in styles.standings],
             "fronts": fronts,
+            "edits": {
+                "cells": [asdict(cell) for cell in edits.cells],
+                "standings": [asdict(one) for one in edits.standings],
+            },
             "missing": [asdict(gap) for gap in (*gaps, *unseen)],
         }
         write_json(out / "table.json", content)
@@ -80,10 +84,8 @@ def written_report(table: Table) -> dict[str, Any]:
             name=table.file.name,
             summary=f"{len(table.scenes)} scenes, {len(table.styles)} styles, {len(table.methods)} methods, "
             f"{len(table.seeds)} seeds: {len(known)} of {len(axes)} fields stand.",
-            columns=columns,
-            heads=[labels[column] for column in columns],
-            cells=_shown(cells),
-            methods=_methods(standings),
+            styles=_shown(styles),
+            edits=_shown(edits),
             chart=chart,
             sheet=sheet,
             gaps=[*gaps, *unseen],
@@ -92,14 +94,32 @@ def written_report(table: Table) -> dict[str, Any]:
     return {"page": out / "table.html", "compare": out / "compare.html", "table": out / "table.csv", **content}
 
 
-def _labels(runs: Sequence[Run]) -> dict[str, str]:
+@dataclass(frozen=True)
+class Ranking:
+    """Stylizations, or edits, of a table: their cells and ranks. better, labels: by column; no better end, no rank."""
+
+    cells: list[Cell]
+    standings: list[Standing]
+    better: dict[str, str]
+    labels: dict[str, str]
+
+
+def _ranking(placed: Sequence[tuple[Run, Axes]], columns: Sequence[str]) -> Ranking:
+    runs = [run for run, _ in placed]
+    cells = cells_of(placed, columns)
+    better = {column: better_of(runs, column) for column in columns}
+    return Ranking(cells, standings_of(cells, better), better, _labels(runs, columns))
+
+
+def _labels(runs: Sequence[Run], columns: Sequence[str]) -> dict[str, str]:
     found = {key: f"{label} ({unit}, {better} is better)" for key, (label, unit, better, _) in COSTS.items()}
     for run in runs:
-        for key in COLUMNS:
+        for key in columns:
             if key in run.metrics:
                 one = run.metrics[key]
-                unit = f"{one.unit}, " if one.unit and one.unit != "fraction" else ""
-                found.setdefault(key, f"{one.label} ({unit}{one.better} is better)")
+                unit = one.unit if one.unit != "fraction" else ""
+                notes = ", ".join(filter(None, (unit, one.better and f"{one.better} is better")))
+                found.setdefault(key, f"{one.label} ({notes})" if notes else one.label)
     return found
 
 
@@ -107,9 +127,10 @@ def _digits(column: str) -> int:
     return COSTS[column][3] if column in COSTS else BY_KEY[column].digits
 
 
-def _shown(cells: Sequence[Cell]) -> list[dict[str, Any]]:
-    """Rows of the page: every value as "mean ± spread"."""
-    return [
+def _shown(ranking: Ranking) -> dict[str, Any]:
+    """What the page shows of a ranking: its columns and their heads, ranks by method, cells as "mean ± spread"."""
+    columns = [column for column in ranking.labels if any(column in cell.values for cell in ranking.cells)]
+    cells = [
         {
             "scene": cell.scene,
             "style": cell.style,
@@ -121,8 +142,17 @@ def _shown(cells: Sequence[Cell]) -> list[dict[str, Any]]:
                 for column, value in cell.values.items()
             },
         }
-        for cell in cells
+        for cell in ranking.cells
     ]
+    ranked = [column for column in columns if ranking.better[column]]
+    return {
+        "columns": columns,
+        "heads": [ranking.labels[column] for column in columns],
+        "ranked": ranked,
+        "ranked_heads": [ranking.labels[column] for column in ranked],
+        "methods": _methods(ranking.standings),
+        "cells": cells,
+    }
 
 
 def _methods(standings: Sequence[Standing]) -> dict[str, dict[str, Standing]]:
@@ -132,11 +162,11 @@ def _methods(standings: Sequence[Standing]) -> dict[str, dict[str, Standing]]:
     return found
 
 
-def _rows(cells: Sequence[Cell]) -> list[Row]:
+def _rows(ranking: Ranking, columns: Sequence[str]) -> list[Row]:
     rows: list[Row] = []
-    for cell in cells:
+    for cell in ranking.cells:
         row: Row = {"scene": cell.scene, "style": cell.style, "method": cell.method, "seeds": len(cell.seeds)}
-        for column in COLUMNS:
+        for column in columns:
             value = cell.values.get(column)
             row |= {
                 column: value.mean if value else None,
@@ -147,8 +177,8 @@ def _rows(cells: Sequence[Cell]) -> list[Row]:
     return rows
 
 
-def _gaps(table: Table, known: Sequence[tuple[Run, Axes]], cells: Sequence[Cell]) -> list[Gap]:
-    """Fields that do not stand, scene by scene; columns that a cell lacks or has of some seeds only."""
+def _fields_missing(table: Table, known: Sequence[tuple[Run, Axes]]) -> list[Gap]:
+    """Fields that were not made, scene by scene."""
     there = {(at.scene, run.name) for run, at in known}
     gaps = []
     fields = [job for job in jobs_of(table).values() if job.kind == "field" and job.rule != "deform"]
@@ -157,12 +187,19 @@ def _gaps(table: Table, known: Sequence[tuple[Run, Axes]], cells: Sequence[Cell]
         if lost:
             gaps.append(Gap(f"{scene.name}: {len(lost)} fields", f"Not made: {', '.join(lost[:8])}"
                             + (" ..." if len(lost) > 8 else "")))  # fmt: skip
+    return gaps
+
+
+def _values_missing(cells: Sequence[Cell], columns: Sequence[str]) -> list[Gap]:
+    """Columns that a cell lacks, or has of some seeds only."""
+    gaps = []
     for cell in cells:
-        short = [column for column in COLUMNS
+        short = [column for column in columns
                  if column not in cell.values or cell.values[column].count < len(cell.seeds)]  # fmt: skip
         if short:
+            name = ", ".join(filter(None, (cell.scene, cell.style, cell.method)))
             why = "Not measured for every seed, over too few pixels, or by different protocols."
-            gaps.append(Gap(f"{cell.scene}, {cell.style}, {cell.method}: {', '.join(short)}", why))
+            gaps.append(Gap(f"{name}: {', '.join(short)}", why))
     return gaps
 
 

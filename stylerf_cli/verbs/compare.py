@@ -82,7 +82,7 @@ def _table(args: Any, session: Session) -> dict[str, Any]:
 
     result = written_report(read_table(args.table, build))
     lines = [f"{one['method']}: mean rank {one['rank']:.2f} in {one['column']} over {one['blocks']} blocks"
-             for one in result["standings"]]  # fmt: skip
+             for one in (*result["standings"], *result["edits"]["standings"])]  # fmt: skip
     lines += [f"missing: {gap['what']}. {gap['why']}" for gap in result["missing"]]
     return session.emit(result, [*lines, f"page: {result['page']}"])
 

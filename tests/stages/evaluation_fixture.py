@@ -130,9 +130,9 @@ def make_frames(
 
 
 def make_field(work: WorkFolder, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:
-    """A stand-in: evaluation reads only the manifest of a field."""
+    """A stand-in, of bytes of its own: evaluation reads only the manifest of a field."""
 
     def write(folder: Path) -> None:
-        (folder / "field.bin").write_bytes(b"\0" * 4096)
+        (folder / "field.bin").write_bytes(name.encode().ljust(4096, b"\0"))
 
     return commit(work, "field", name, stage, inputs, write, **manifest)
