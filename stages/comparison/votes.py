@@ -4,7 +4,7 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +89,8 @@ class Agreement:
 def read_votes(files: Sequence[Path], out: Path) -> list[Vote]:
     """Read files of votes, in the order given. out: the folder with the keys of their pages.
 
+    A field has one label in a group, that of the last page, and no other field has it.
+
     Raises:
         BadInput: A file is missing, no file of votes, of an unknown page, given twice, or votes twice on a pair.
     """
@@ -111,6 +113,28 @@ def read_votes(files: Sequence[Path], out: Path) -> list[Vote]:
             found.append(Vote(None if vote["choice"] == "same" else sides[CHOICES.index(vote["choice"])], sides))
     if not found:
         raise BadInput(f"{', '.join(map(str, files))}: no votes in it; vote on a page of stylerf compare --pairs")
+    return _labeled_apart(found)
+
+
+def _labeled_apart(votes: Sequence[Vote]) -> list[Vote]:
+    """The votes with labels that name one field each within a group: a page labels only its own contenders apart."""
+    sides = [side for vote in votes for side in vote.sides]
+    labels = {(side.group, side.title, side.field): side.label for side in sides}
+    uses = Counter((group, label) for (group, *_), label in labels.items())
+    made = Counter((group, title) for group, title, _ in labels)
+
+    def apart(side: Side) -> Side:
+        label = labels[side.group, side.title, side.field]
+        if uses[side.group, label] > 1:
+            again = f", {side.field[:8]}" if made[side.group, side.title] > 1 else ""
+            label = f"{label} ({side.title.rpartition('/')[2]}{again})"
+        return replace(side, label=label)
+
+    found = []
+    for vote in votes:
+        left, right = map(apart, vote.sides)
+        winner = None if vote.winner is None else left if vote.winner is vote.sides[0] else right
+        found.append(Vote(winner, (left, right)))
     return found
 
 

@@ -17,8 +17,7 @@
     }
     find("vote").hidden = done;
     find("done").hidden = !done;
-    for (const side of ["left", "right"]) find(side).addEventListener("click", () => vote(side));
-  find("back").disabled = at === 0;
+    find("back").disabled = at === 0;
     const given = votes[at] ? ", voted " + votes[at].choice : "";
     find("place").textContent = "Pair " + (at + 1) + " of " + data.pairs.length + given;
     find("count").textContent = Object.keys(votes).length + " of " + data.pairs.length + " votes";
@@ -47,9 +46,10 @@
   }
 
   for (const choice of ["left", "right", "same"]) find("vote-" + choice).addEventListener("click", () => vote(choice));
+  for (const side of ["left", "right"]) find(side).addEventListener("click", () => vote(side));
   find("back").addEventListener("click", back);
   document.addEventListener("keydown", event => {
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || event.repeat) return;
     const act = {
       ArrowLeft: () => vote("left"), ArrowRight: () => vote("right"), ArrowDown: () => vote("same"), ArrowUp: back,
     }[event.key];

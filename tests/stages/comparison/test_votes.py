@@ -82,6 +82,22 @@ def test_a_file_counts_once_and_damage_is_named(out):
         read_votes([first], out)
 
 
+def test_pages_that_label_other_fields_alike_do_not_share_votes(out):
+    """A page has in its labels only options in which its own contenders differ."""
+    contenders = [{"label": label, "title": f"room/{name}", "group": "room, a.png", "field": name}
+                  for label, name in (("arf", "arf-60s"), ("snerf, budget 9s", "snerf"))]  # fmt: skip
+    key = out / "pairs" / f"{PAGE}.json"
+    content = json.loads(key.read_text())
+    for one in content["contenders"]:
+        one["field"] = one["title"].partition("/")[2]
+    key.write_text(json.dumps(content))
+    content["contenders"] = contenders
+    (out / "pairs" / f"{'cd' * 32}.json").write_text(json.dumps(content))
+    votes = read_votes([saved(out, [vote(0, "right")]), saved(out, [vote(0, "left")], page="cd" * 32)], out)
+    rows = {row.label: row.won for row in standings(votes, {})["room, a.png"]}
+    assert rows == {"arf (arf)": Share(0, 1), "arf (arf-60s)": Share(1, 1), "snerf, budget 9s": Share(1, 2)}
+
+
 def test_the_interval_is_wilsons():
     """Its ends solve |p - k/n| = z sqrt(p (1 - p) / n) (Wilson 1927)."""
     z = 1.959963984540054

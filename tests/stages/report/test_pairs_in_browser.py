@@ -99,6 +99,16 @@ def test_votes_by_mouse_and_keyboard_are_saved(browser, tmp_path):
     assert browser.errors == []
 
 
+def test_a_click_on_a_picture_is_one_vote(browser, tmp_path):
+    path = tmp_path / "pairs.html"
+    path.write_text(page_of_pairs(4), encoding="utf-8")
+    browser.open(path, 1400, "light")
+    for name in ("left", "right"):
+        browser.evaluate(f'document.getElementById("{name}").click()')
+    assert [one["choice"] for one in json.loads(browser.evaluate(SAVED))["votes"]] == ["left", "right"]
+    assert browser.evaluate(PLACE) == "Pair 3 of 3"
+
+
 def test_saved_votes_are_read(browser, tmp_path):
     """What the page saves is what `compare --votes` reads."""
     from stages.comparison.votes import Side, read_votes
