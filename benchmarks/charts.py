@@ -1,6 +1,7 @@
 """Charts of README and docs from results, as deterministic SVG text."""
 
-PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylizations": ("nnfm", "distance to the painting", False)}
+# Figures that no method minimizes.
+PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylizations": ("sifid", "style distance, SIFID", False)}
 
 
 def drawn(size: tuple[float, float], draw) -> str:
@@ -59,6 +60,8 @@ def capacity_chart(report: dict) -> str:
 
 def pareto_chart(report: dict) -> str:
     """Quality against seconds, a column per scene: fits above, stylizations below, Pareto fronts filled and joined."""
+    from stylerf.metrics.pareto import pareto_front
+
     scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
 
     def draw(figure) -> None:
@@ -67,11 +70,12 @@ def pareto_chart(report: dict) -> str:
             for scene, one in zip(scenes, line):
                 rows = [row for row in report["rows"] if (row["work"], row["family"]) == (scene, family)]
                 rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
-                for row, label in zip(rows, unlike([row["name"] for row in rows])):
-                    _mark(one, row, key, label)
-                leading = [row for row in rows if f"{key}/seconds" in row["fronts"]]
-                places = sorted((row["costs"]["seconds"], row["figures"][key]) for row in leading)
-                if places:
+                places = [(row["costs"]["seconds"], row["figures"][key]) for row in rows]
+                front = pareto_front(*zip(*places), higher) if places else []
+                for index, label in enumerate(unlike([row["name"] for row in rows])):
+                    _mark(one, rows[index], places[index], label, index in front)
+                if front:
+                    places = [places[index] for index in front]
                     one.step(*zip(*places), where="post", color="#888888", linewidth=1)
                 better = "higher" if higher else "lower"
                 one.set(title=f"{scene}, {family}", xlabel="seconds", ylabel=f"{words} ({better} is better)")
@@ -150,10 +154,8 @@ def unlike(names: list[str]) -> list[str]:
     return ["-".join(name) for name in parts]
 
 
-def _mark(axes, row: dict, key: str, label: str) -> None:
-    place = (row["costs"]["seconds"], row["figures"][key])
+def _mark(axes, row: dict, place: tuple[float, float], label: str, filled: bool) -> None:
     color = "#0072b2" if row["family"] == "fits" else "#d55e00"
-    filled = f"{key}/seconds" in row["fronts"]
     area = 15 + row["costs"]["parameters"] / 1e5
     axes.scatter(*place, s=area, facecolors=color if filled else "none", edgecolors=color, alpha=0.8)
     axes.annotate(label, place, xytext=(5, 3), textcoords="offset points", fontsize=6)

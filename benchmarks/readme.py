@@ -369,9 +369,11 @@ def method_ranks() -> str:
         found = {one["column"]: one for one in report["standings"] if one["method"] == method}
         values = (f"{found[c]['rank']:.1f} ({found[c]['relative']:.2f})" if c in found else "–" for c in columns)
         lines.append(f"| {method} | {' | '.join(values)} |")
-    blocks = max(one["blocks"] for one in report["standings"])
+    numbers = {one["column"]: one["blocks"] for one in report["standings"]}
+    blocks = max(numbers.values())
+    fewer = "".join(f", {METHOD_COLUMNS[c]} over {numbers[c]}" for c in columns if numbers[c] < blocks)
     hours = f"; all jobs together took {report['job_hours']} hours" if "job_hours" in report else ""
-    return "\n".join([*lines, "", f"Over {blocks} pairs of a scene and a painting{hours}. {where(report)}"])
+    return "\n".join([*lines, "", f"Over {blocks} pairs of a scene and a painting{fewer}{hours}. {where(report)}"])
 
 
 def method_cells() -> str:

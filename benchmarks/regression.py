@@ -60,8 +60,12 @@ def main() -> int:
         return 2
     with tempfile.TemporaryDirectory() as scratch:
         now = report_of(work, sorted({1, os.cpu_count() or 1}), Path(scratch))
+    compared = ratios(before["rows"]).keys() & ratios(now["rows"]).keys()
+    if not compared:
+        print(f"{against}: no kernel of it was measured at the same capacity and number of threads", file=sys.stderr)
+        return 2
     found = worse(before["rows"], now["rows"])
-    print("\n".join(found) if found else f"{len(ratios(now['rows']))} ratios: none has become worse")
+    print("\n".join(found) if found else f"{len(compared)} ratios: none has become worse")
     return int(bool(found))
 
 

@@ -75,7 +75,7 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=9, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=10, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
     "nnfm", "gram", "judge_gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness",
     "color_distribution", "speckle",
@@ -246,7 +246,7 @@ class Evaluation:
         style = self.perceptual.style_image
         if style is not None:
             measure_style(row, image, alpha, style.distances)
-            measure_palette(row, image, alpha, style.image)
+            measure_palette(row, image, alpha, *style.palette)
             measure_colors(row, image, alpha, style.colors)
             same_size = photo if photo is not None and photo.image.shape == image.shape else None
             measure_speckle(row, image, alpha, same_size, style.speckle(max(image.shape[:2])))

@@ -21,7 +21,7 @@ from stages.comparison.runs import (
     Run,
     RunMetric,
     runs_of,
-    thread_mismatches,
+    unlike_machines,
 )
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.metrics import Row, write_csv
@@ -242,7 +242,7 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
         fronts: dict[str, list[str]] = {}
         for family in FAMILIES:
             members = [one for one in runs if one.family == family]
-            gaps += thread_mismatches(members)
+            gaps += unlike_machines(members)
             gaps += disagreements(members, list(CHARTED[family]))
             fronts |= on_fronts(members, list(CHARTED[family]))
         charts = comparison_charts(runs)

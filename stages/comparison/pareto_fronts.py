@@ -30,15 +30,16 @@ class Panel:
 
 
 def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
-    """Plot a metric against a cost; None if no run has both."""
+    """Plot a metric against a cost; None if no run has both. Times and memory of unlike devices share no front."""
     having = [run for run in runs if key in run.metrics and run.costs[cost] is not None]
     if not having:
         return None
     first = having[0].metrics[key]
-    comparable: dict[tuple[str, Protocol], list[Run]] = {}
+    comparable: dict[tuple[str, Protocol, str], list[Run]] = {}
     for run in having:
         if not why_excluded(run, key):
-            comparable.setdefault((run.group, run.metrics[key].comparable_by), []).append(run)
+            device = "" if cost == "parameters" else run.device
+            comparable.setdefault((run.group, run.metrics[key].comparable_by, device), []).append(run)
     panel = Panel(key, cost, first.label, first.unit, first.better, having, [])
     for members in comparable.values() if first.better else ():
         costs, means = zip(*map(panel.at, members), strict=True)

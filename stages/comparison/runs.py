@@ -120,14 +120,18 @@ def fields_of(works: Sequence[WorkFolder]) -> dict[str, tuple[WorkFolder, Artifa
     return {f"{label}/{one.name}": (work, one) for work, label in labeled for one in work.artifacts("field")}
 
 
-def thread_mismatches(runs: Sequence[Run]) -> list[Gap]:
-    """A remark for each group whose runs used different numbers of threads."""
+def unlike_machines(runs: Sequence[Run]) -> list[Gap]:
+    """A remark for each group whose runs used different devices or numbers of threads."""
     found = []
     for group in dict.fromkeys(run.group for run in runs):
         counts = sorted({count for run in runs if run.group == group for count in run.threads})
         if len(counts) > 1:
             threads = " and ".join(map(str, counts))
             why = f"Run on {threads} threads: times are not comparable, and results differ in their last digits."
+            found.append(Gap(group, why))
+        devices = sorted({run.device for run in runs if run.group == group})
+        if len(devices) > 1:
+            why = f"Run on {' and '.join(devices)}: times and memory are not comparable, and share no front."
             found.append(Gap(group, why))
     return found
 

@@ -224,7 +224,12 @@ def _correct(pair_range: str, target: str) -> tuple[MetricDefinition, ...]:
         ),
         MetricDefinition(
             f"edit_{pair_range}_rmse", f"{consistency} within the region (correct), RMSE", "", "lower", 4,
-            f"{warped}; root mean squared error over RGB and the visible pixels of the target {{inside}}; {mean}.",
+            f"{warped}; root mean squared error over RGB and the visible pixels of the target {{inside}}; mean of the "
+            "pairs whose target shows the region.",
+        ),
+        MetricDefinition(
+            f"edit_{pair_range}_share", f"{consistency} within the region (correct), visible", "fraction", "", 4,
+            f"{warped}; visible pixels as a fraction of the target's opaque pixels {{inside}}; same pairs.",
         ),
         MetricDefinition(
             f"{pair_range}_perceptual", f"{name}, {{perceptual_net}}", "", "lower", 4,

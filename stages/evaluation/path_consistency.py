@@ -177,10 +177,13 @@ class PathConsistency:
             return row
         flows = self._flows(views, indices)
         for protocol, names in keys.items():
-            row.measure(names, partial(self._values, protocol, views, flows, perceptual, count))
-        if self._mask is not None and "correct" in self.protocols:
-            within = self._mask(views[1])
-            row.measure((f"edit_{label}_rmse",), lambda: self._values("correct", views, flows, False, 1, within))
+            row.measure(
+                names, partial(self._values, protocol, views, flows, perceptual, count),
+                "no pixel of the second frame is visible in the first" if protocol == "correct" else "",
+            )  # fmt: skip
+        if self._mask is not None and "correct" in self.protocols and (within := self._mask(views[1])).any():
+            names = (f"edit_{label}_rmse", f"edit_{label}_share")
+            row.measure(names, lambda: self._values("correct", views, flows, False, 2, within))
         return row
 
     def _flows(self, views: tuple[Render, Render], indices: tuple[int, int]) -> tuple[np.ndarray, np.ndarray] | None:

@@ -19,9 +19,10 @@ from stages.evaluation.view_metrics import Score
 from stages.run.progress import Context
 from stages.weights import resolve
 from stylerf.metrics.color_distribution import color_quantiles
+from stylerf.metrics.colorfulness import colorfulness
 from stylerf.metrics.consistency import PixelDistance
 from stylerf.metrics.flow_consistency import ImageDistance
-from stylerf.metrics.frechet import Moments, frechet_squared, moments
+from stylerf.metrics.frechet import Moments, color_moments, frechet_squared, moments
 from stylerf.metrics.perceptual import PerceptualDistance
 from stylerf.metrics.speckle import speckle
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, fitted
@@ -164,9 +165,19 @@ class StyleImage:
     @functools.cached_property
     def colors(self) -> np.ndarray:
         """Quantiles of its colors, for the distance of color distributions."""
+        return color_quantiles(self._opaque)
+
+    @functools.cached_property
+    def palette(self) -> tuple[Moments, float]:
+        """Moments and colorfulness of its colors."""
+        return color_moments(self._opaque), colorfulness(self._opaque)
+
+    @property
+    def _opaque(self) -> np.ndarray:
+        """Colors [n, 3] of its opaque pixels."""
         if self.image.shape[2] == 3:
-            return color_quantiles(self.image.reshape(-1, 3))
-        return color_quantiles(self.image[self.image[..., 3] > 0][:, :3])
+            return self.image.reshape(-1, 3)
+        return self.image[self.image[..., 3] > 0.5][:, :3]
 
     def speckle(self, side: int) -> float:
         """Its speckle at `side` pixels on the longer side, or at its own size if smaller."""
@@ -267,7 +278,7 @@ def style_label(config: EvaluateConfig, field: Artifact | None) -> str:
 
 
 def style_file(config: EvaluateConfig, field: Artifact | None) -> Path | None:
-    """The style image: the one given, else `style.<extension>` in the field's folder, else the one its config names.
+    """The style image: the one given, else `style.<extension>` in the field's folder.
 
     Raises BadInput if one was given and does not exist.
     """
@@ -280,7 +291,4 @@ def style_file(config: EvaluateConfig, field: Artifact | None) -> Path | None:
         return None
     kept = [record.path for record in field.manifest.files if Path(record.path).stem == "style"]
     pictures = [name for name in kept if Path(name).suffix.lower() in (".png", ".jpg", ".jpeg")]
-    if pictures:
-        return field.file(pictures[0])
-    named = field.manifest.config.get("style")
-    return Path(named) if isinstance(named, str) and named and Path(named).is_file() else None
+    return field.file(pictures[0]) if pictures else None

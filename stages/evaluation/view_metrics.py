@@ -15,7 +15,7 @@ from stylerf.metrics.colorfulness import colorfulness
 from stylerf.metrics.consistency import seen_through
 from stylerf.metrics.depth import depth_errors, shape_change
 from stylerf.metrics.edges_kept import edges_kept
-from stylerf.metrics.frechet import palette_distance
+from stylerf.metrics.frechet import Moments, color_moments, distance_of_moments
 from stylerf.metrics.speckle import speckle
 
 HIGHEST_PSNR = 100.0  # dB, for equal images: their PSNR is infinite, which neither a mean nor JSON can represent
@@ -32,8 +32,11 @@ class ViewRow:
     values: dict[str, float | None] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
 
-    def measure(self, keys: tuple[str, ...], function: Callable[[], object]) -> None:
-        """Store what `function` returns under `keys`; if it raises InvalidValue, store None and a remark."""
+    def measure(self, keys: tuple[str, ...], function: Callable[[], object], unmeasured: str = "") -> None:
+        """Store what `function` returns under `keys`; if it raises InvalidValue, store None and a remark.
+
+        unmeasured: the remark if the first value is no number.
+        """
         try:
             found = function()
         except InvalidValue as error:
@@ -43,6 +46,8 @@ class ViewRow:
         values = found if isinstance(found, tuple) else (found,)
         for key, value in zip(keys, values, strict=True):
             self.values[key] = float(value) if is_number(value) else None
+        if unmeasured and self.values[keys[0]] is None:
+            self._remark(unmeasured)
 
     def skip(self, keys: tuple[str, ...], remark: str) -> None:
         """Record that these metrics cannot be measured in this view, and why."""
@@ -88,7 +93,7 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
     for key, score in scores.items():
         row.measure((key,), partial(score, render.image, reference))
     if photo.depth is not None:
-        row.measure(depth_keys, partial(_depth_values, render, photo.depth))
+        row.measure(depth_keys, partial(_depth_values, render, photo.depth), "the render hides no known depth")
 
 
 def _depth_values(render: Render, truth: np.ndarray) -> tuple:
@@ -96,15 +101,13 @@ def _depth_values(render: Render, truth: np.ndarray) -> tuple:
     return found.abs_rel, found.rmse, found.delta, found.in_front, found.share
 
 
-def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style_image: np.ndarray) -> None:
-    """Compare an image's colors, where alpha > 0.5, with those of the style image [h, w, 3 or 4]."""
+def measure_palette(row: ViewRow, image: np.ndarray, alpha: np.ndarray, style: Moments, most: float) -> None:
+    """Compare an image's colors, where alpha > 0.5, with those of the style image: its moments and colorfulness."""
     keys = ("palette", "palette_mean", "palette_covariance", "colorfulness")
 
     def distances() -> tuple:
-        own, wanted = image[alpha > 0.5], style_image[..., :3].reshape(-1, 3)
-        if style_image.shape[2] == 4:
-            wanted = wanted[style_image[..., 3].ravel() > 0.5]
-        found, most = palette_distance(own, wanted), colorfulness(wanted)
+        own = image[alpha > 0.5]
+        found = distance_of_moments(color_moments(own), style)
         return found.frechet, found.mean, found.covariance, colorfulness(own) / most if most > 0 else None
 
     row.measure(keys, distances)
@@ -133,7 +136,7 @@ def measure_speckle(
 
 def measure_style(row: ViewRow, image: np.ndarray, alpha: np.ndarray, distances: StyleDistances) -> None:
     """NNFM, Gram and SIFID-style distances of an image, where it is opaque, to the style image."""
-    row.measure(("nnfm", "gram", "judge_gram", "sifid"), lambda: distances(image, alpha))
+    row.measure(("nnfm", "gram", "judge_gram", "sifid"), lambda: distances(image, alpha), "the render is transparent")
 
 
 def measure_content(row: ViewRow, image: np.ndarray, photo: Photo) -> None:

@@ -157,15 +157,31 @@ def _rank(value: float, values: Sequence[float], higher: bool) -> float:
     return ahead + (values.count(value) + 1) / 2
 
 
-def fronts_of(standings: Sequence[Standing], better: Mapping[str, str]) -> dict[str, list[str]]:
-    """Return the methods on the Pareto front of style against each other column, by that column."""
-    at = {(one.method, one.column): one.relative for one in standings}
-    methods = list(dict.fromkeys(one.method for one in standings))
+@dataclass(frozen=True)
+class Front:
+    """Methods by style and one other column, over the blocks in which both can be compared.
+
+    points: of each method, the column's value and the style distance, relative to the mean over methods. best: the
+    methods on the Pareto front.
+    """
+
+    points: Mapping[str, tuple[float, float]]
+    best: tuple[str, ...]
+
+
+def fronts_of(cells: Sequence[Cell], better: Mapping[str, str]) -> dict[str, Front]:
+    """Return the Pareto front of style against each other column, by that column."""
+    methods = list(dict.fromkeys(cell.method for cell in cells))
+    by_style = {block[0].block for block in _complete_blocks(cells, STYLE, methods)}
     found = {}
     for column in AGAINST:
-        both = [method for method in methods if (method, STYLE) in at and (method, column) in at]
+        shared = by_style & {block[0].block for block in _complete_blocks(cells, column, methods)}
+        ends = {name: better[name] for name in (STYLE, column)}
+        standings = standings_of([cell for cell in cells if cell.block in shared], ends)
+        at = {(one.method, one.column): one.relative for one in standings}
+        points = {method: (at[method, column], at[method, STYLE]) for method in methods if (method, column) in at}
         sign = -1.0 if better[column] == "higher" else 1.0  # the front takes costs, of which less is better
-        front = pareto_front([sign * at[one, column] for one in both], [at[one, STYLE] for one in both], False)
-        if both:
-            found[column] = [both[index] for index in front]
+        front = pareto_front([sign * x for x, _ in points.values()], [y for _, y in points.values()], False)
+        if points:
+            found[column] = Front(points, tuple([*points][index] for index in front))
     return found

@@ -8,6 +8,7 @@ from schemas.manifest import MANIFEST
 from stages.configs import flags_of
 from stages.configs.render import RenderConfig, label_of
 from stages.farm.table import Scene, Table
+from stylerf.geometry.camera_paths import PATHS
 
 SCENE = "main"  # the name that `import` gives by default
 IMPORT, FIT, DEFORM, STYLIZE, EDIT, SHARD, RENDER, EVAL = (
@@ -149,8 +150,7 @@ def _rendered(scene: Scene, field: Job) -> Iterator[Job]:
     if config is None:
         return
     whole = _frames_name(field.name, config)
-    counted = config.path in ("orbit", "spiral", "interpolate")
-    count = config.count if counted else 0
+    count = config.count if config.path in PATHS else 0
     command = (RENDER, scene.name, "--of", field.name)
     shards = []
     for index in range(scene.shards if scene.shards > 1 else 0):
@@ -176,12 +176,19 @@ def _frames_name(field: str, config: RenderConfig) -> str:
 
 def _measured(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, None, tuple[str, ...]]":
     """The evaluation; return its key in a tuple, empty if the scene is not evaluated."""
-    if scene.evaluate is None:
+    config = scene.evaluate
+    if config is None:
         return ()
     along = ("--path", scene.path) if scene.path else ()
+    # Fits and edits refuse what only a stylization can be measured by, and the others what only an edit can be.
+    if field.rule != STYLIZE:
+        config = replace(config, ceiling=0, reference=())
+    if field.rule != EDIT:
+        config = replace(config, masks="", train_views=False)
+    elif not config.masks:
+        along = (*along, "--region", field.name)
     argv = (
-        EVAL, scene.name, "--of", field.name, "--name", field.name, "--config", FRAMES, *along,
-        *flags_of(scene.evaluate),
+        EVAL, scene.name, "--of", field.name, "--name", field.name, "--config", FRAMES, *along, *flags_of(config),
     )  # fmt: skip
     job = Job(EVAL, scene.name, "report", field.name, argv, (field.key, *dict.fromkeys(also)))
     yield job

@@ -15,12 +15,11 @@ from stages.comparison.runs import fields_of as fields_of_works
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.evaluation.metrics import Row, write_csv
 from stages.farm.cells import (
-    AGAINST,
     COLUMNS,
     COSTS,
     EDIT_COLUMNS,
-    STYLE,
     Cell,
+    Front,
     Standing,
     better_of,
     cells_of,
@@ -59,19 +58,19 @@ def written_report(table: Table) -> dict[str, Any]:
     styles = _ranking(stylized, COLUMNS)
     edits = _ranking([(run, replace(at, style="", method=at.style)) for run, at in known if at.method == EDIT],
                      EDIT_COLUMNS)  # fmt: skip
-    fronts = fronts_of(styles.standings, styles.better)
+    fronts = fronts_of(styles.cells, styles.better)
     gaps = [*_fields_missing(table, known), *_values_missing(styles.cells, COLUMNS),
             *_values_missing(edits.cells, EDIT_COLUMNS)]  # fmt: skip
     with sweeping((out,)):
         sheet, unseen = _sheet(table, runs, works, axes)
-        chart = _chart(styles.standings, fronts, styles.labels)
+        chart = _chart(fronts, styles.labels)
         write_csv(out / "table.csv", [*_rows(styles, COLUMNS), *_rows(edits, EDIT_COLUMNS)])
         content = {
             "name": table.file.name,
             "seeds": table.seeds,
             "cells": [asdict(cell) for cell in styles.cells],
             "standings": [asdict(one) for one in styles.standings],
-            "fronts": fronts,
+            "fronts": {column: front.best for column, front in fronts.items()},
             "edits": {
                 "cells": [asdict(cell) for cell in edits.cells],
                 "standings": [asdict(one) for one in edits.standings],
@@ -243,23 +242,19 @@ def _pictures(
     return found
 
 
-def _chart(standings: Sequence[Standing], fronts: Mapping[str, Sequence[str]], labels: Mapping[str, str]
-           ) -> Chart | None:  # fmt: skip
+def _chart(fronts: Mapping[str, Front], labels: Mapping[str, str]) -> Chart | None:
     """Style against each other column, one mark per method; None without two methods that have both."""
-    at = {(one.method, one.column): one.relative for one in standings}
-    methods = list(dict.fromkeys(one.method for one in standings))
-    columns = [column for column in AGAINST if column in fronts and len(methods) > 1]
+    columns = [column for column, front in fronts.items() if len(front.points) > 1]
     if not columns:
         return None
+    methods = list(dict.fromkeys(method for front in fronts.values() for method in front.points))
     with rc_context(SETTINGS):
         drawing = Drawing(figsize=(3.4 * len(columns) + 0.4, 3.4), layout="constrained")
         for place, column in enumerate(columns):
             axes = drawing.add_subplot(1, len(columns), place + 1)
-            both = [one for one in methods if (one, STYLE) in at and (one, column) in at]
-            for one in both:
+            for one, point in fronts[column].points.items():
                 color = COLORS[methods.index(one) % len(COLORS)]
-                point = at[one, column], at[one, STYLE]
-                fill = color if one in fronts[column] else "none"
+                fill = color if one in fronts[column].best else "none"
                 axes.plot(*point, "o", color=color, markerfacecolor=fill, markersize=7)
                 axes.annotate(one, point, xytext=(5, 4), textcoords="offset points", fontsize=8, color=INK)
             axes.margins(x=0.3, y=0.2)
@@ -269,6 +264,6 @@ def _chart(standings: Sequence[Standing], fronts: Mapping[str, Sequence[str]], l
             if not place:
                 axes.set_ylabel("style distance, relative; lower is better", fontsize=8.5)
             axes.grid()
-        words = "; ".join(f"{labels[column]}: {', '.join(fronts[column])}" for column in columns)
+        words = "; ".join(f"{labels[column]}: {', '.join(fronts[column].best)}" for column in columns)
         return finish(drawing, "methods", "Style against time, structure and consistency",
                       f"Filled: on the Pareto front with style. {words}")  # fmt: skip

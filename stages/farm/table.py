@@ -18,6 +18,7 @@ from stages.configs.render import OWN_VIEWS, RenderConfig
 from stages.configs.stylize import CONFIGS as METHOD_CONFIGS
 from stages.configs.stylize import refuse_foreign
 from stages.farm.yaml_file import read_yaml
+from stylerf.geometry.camera_paths import PATHS
 
 # Builds a config of a class from a mapping of options; the text names the mapping in errors, the classes are those
 # whose options are ignored. UsageError for anything wrong.
@@ -130,11 +131,24 @@ class _Checks:
             item = known.get(key.replace("-", "_"))
             if item is not None and item.type is str and type(value) is int:
                 value = str(value)
-            names_file = item is not None and item.metadata["digest"] and item.name != "images"
-            if names_file and isinstance(value, str) and value and self.path(value).exists():
-                value = str(self.path(value))
+            if item is not None and item.metadata["digest"] and item.name != "images":
+                value = self.located(value)
             found[key] = value
         return found
+
+    def located(self, value: object) -> object:
+        """An option that names a file or folder, or a list of VIEW=FILE, made absolute if they are there."""
+        if isinstance(value, list):
+            return [self._located_of_view(one) for one in value]
+        if not isinstance(value, str) or not value or value in PATHS or not self.path(value).exists():
+            return value
+        return str(self.path(value))
+
+    def _located_of_view(self, value: object) -> object:
+        if not isinstance(value, str) or "=" not in value:
+            return value
+        view, _, file = value.partition("=")
+        return f"{view}={self.located(file)}"
 
     def path(self, text: str) -> Path:
         """A path of the table, relative to its folder."""
@@ -239,7 +253,7 @@ def _scene(
 ) -> Scene:
     where = f"scenes: {name}:"
     shards = checks.whole(options["render"].pop("shards", 1), f"{where} render: shards", 1, MOST_SHARDS, 1)
-    path = options["eval"].pop("path", "")
+    path = checks.located(options["eval"].pop("path", ""))
     if not isinstance(path, str) or path in OWN_VIEWS:
         checks.fault(f"{where} eval: path", f"is {_shown(path)}; expected a camera path such as orbit or spiral")
     # Regions are those of the edits that happen to be finished: a picture must not depend on the order of jobs.
@@ -249,7 +263,7 @@ def _scene(
     if render is not None:
         if render.frames:
             checks.fault(f"{where} render:", "frames splits a path by hand; give shards: N")
-        if shards > 1 and (render.path not in ("orbit", "spiral", "interpolate") or shards > render.count):
+        if shards > 1 and (render.path not in PATHS or shards > render.count):
             checks.fault(f"{where} render:", f"{shards} shards need an orbit, a spiral or an interpolated path of at "
                          "least as many frames")  # fmt: skip
         if render.regions or render.masks or render.cryptomatte:

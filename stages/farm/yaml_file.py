@@ -47,13 +47,16 @@ def read_yaml(path: Path) -> Any:
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
             seen = set()
-            for key, _ in node.value:
+            for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
+                if not isinstance(key, yaml.ScalarNode):
+                    raise yaml.constructor.ConstructorError(
+                        None, None, "a key is a list or mapping; quote text that holds braces", key.start_mark
+                    )
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
                         None, None, f"{printable(str(key.value))!r} is there twice", key.start_mark
                     )
-                if isinstance(key.value, str):
-                    seen.add(key.value)
+                seen.add(key.value)
             return super().construct_mapping(node, deep)
 
     try:
@@ -61,7 +64,8 @@ def read_yaml(path: Path) -> Any:
         return yaml.load(text, Loader)
     except FileNotFoundError:
         raise UsageError(f"{path}: there is no such table") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    # The last four: what PyYAML's constructors raise for tags on values that do not fit them, such as `!!int ""`.
+    except (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
         why = printable(str(getattr(error, "problem", None) or error).splitlines()[0])

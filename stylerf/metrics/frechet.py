@@ -11,6 +11,8 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 
+CHUNK = 1 << 20  # vectors that are converted to float64 at once
+
 
 @dataclass(frozen=True, eq=False)
 class Moments:
@@ -22,12 +24,15 @@ class Moments:
 
 def moments(vectors: np.ndarray) -> Moments:
     """Return mean and covariance of vectors [n, c] in float64; InvalidValue if there are none or one is not finite."""
-    values = np.asarray(vectors, np.float64)
+    values = np.asarray(vectors)
     if values.ndim != 2 or len(values) == 0 or not np.isfinite(values).all():
         raise InvalidValue(f"expected finite vectors [n, c], got an array of shape {values.shape}")
-    mean = values.mean(axis=0)
-    centered = values - mean
-    return Moments(mean, centered.T @ centered / len(values))
+    mean = values.mean(axis=0, dtype=np.float64)
+    products = np.zeros((len(mean), len(mean)))
+    for start in range(0, len(values), CHUNK):
+        centered = values[start : start + CHUNK] - mean
+        products += centered.T @ centered
+    return Moments(mean, products / len(values))
 
 
 def frechet_squared(a: Moments, b: Moments) -> float:
@@ -69,7 +74,11 @@ class PaletteDistance:
 
 def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
     """Compare colors [n, 3] and [m, 3] by mean and covariance (divided by n)."""
-    first, second = _moments(a), _moments(b)
+    return distance_of_moments(color_moments(a), color_moments(b))
+
+
+def distance_of_moments(first: Moments, second: Moments) -> PaletteDistance:
+    """Compare the `color_moments` of two images."""
     return PaletteDistance(
         mean=float(np.linalg.norm(first.mean - second.mean)),
         covariance=float(np.linalg.norm(first.covariance - second.covariance)),
@@ -77,7 +86,8 @@ def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
     )
 
 
-def _moments(colors: np.ndarray) -> Moments:
+def color_moments(colors: np.ndarray) -> Moments:
+    """Return mean and covariance of colors [n, 3]; InvalidValue if there are none or one is not finite."""
     if np.ndim(colors) != 2 or np.shape(colors)[1] != 3:
         raise InvalidValue(f"expected finite colors [n, 3], got an array of shape {np.shape(colors)}")
     return moments(colors)

@@ -1,5 +1,6 @@
 """A small made-up work folder: a textured wall with a ball before it, seen by known cameras, with exact depth."""
 
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -130,9 +131,12 @@ def make_frames(
 
 
 def make_field(work: WorkFolder, name: str, stage: str, inputs: dict[str, Artifact], **manifest) -> Artifact:
-    """A stand-in, of bytes of its own: evaluation reads only the manifest of a field."""
+    """A stand-in, of bytes of its own, with its style image: evaluation reads nothing else of a field."""
+    style = Path(manifest.get("config", {}).get("style", ""))
 
     def write(folder: Path) -> None:
+        if style.is_file():
+            shutil.copy(style, folder / f"style{style.suffix}")
         (folder / "field.bin").write_bytes(name.encode().ljust(4096, b"\0"))
 
     return commit(work, "field", name, stage, inputs, write, **manifest)

@@ -110,7 +110,7 @@ def metric(report, key):
 
 def test_metrics_of_a_stylized_field(stylized, painted):
     _, artifact, report = stylized
-    assert report["stylized"] and report["style_image"] == "stripes.png"
+    assert report["stylized"] and report["style_image"] == "style.png"
     mean = metric(report, "palette_mean")
     assert mean["mean"] < 0.03 < mean["reference"]["the unstylized renders"]  # clipping moves it a little
     assert metric(report, "shape_change")["mean"] == pytest.approx(0.2, abs=1e-4)
@@ -163,15 +163,17 @@ def test_a_missing_style_image_is_bad_input(stylized):
         style_file(EvaluateConfig(style="nowhere.png"), inputs["field"])
 
 
-def test_the_style_image_kept_with_the_field_is_preferred(tmp_path, stylized):
-    inputs, *_ = stylized
+def test_the_style_image_is_the_one_kept_with_the_field(tmp_path):
 
     def write(folder):
         write_png(folder / "style.png", np.zeros((4, 4, 3), np.uint8))
 
     field = made.commit(WorkFolder(tmp_path), "field", "kept", "stylize", {}, write, config={"style": "elsewhere.png"})
     assert style_file(EvaluateConfig(), field) == field.file("style.png")
-    assert style_file(EvaluateConfig(), inputs["field"]).name == "stripes.png"
+    field = made.commit(WorkFolder(tmp_path), "field", "bare", "stylize", {}, lambda folder: None,
+                        config={"style": str(tmp_path / "private.png")})  # fmt: skip
+    (tmp_path / "private.png").write_bytes(b"")
+    assert style_file(EvaluateConfig(), field) is None  # a stranger's manifest may name any file
     assert style_file(EvaluateConfig(), None) is None
 
 

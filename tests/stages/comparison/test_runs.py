@@ -9,7 +9,7 @@ from schemas import partial_artifact
 from schemas.work_folder import WorkFolder
 from stages.comparison.page import build_page, comparison_charts, group_style, rows_of
 from stages.comparison.pareto_fronts import disagreements, on_fronts, panel_of
-from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, runs_of, thread_mismatches
+from stages.comparison.runs import CHARTED, EDITS, FITS, STYLIZATIONS, runs_of, unlike_machines
 from tests.stages import comparison_fixture as runs
 from tests.stages import evaluation_fixture as made
 
@@ -242,10 +242,24 @@ def test_different_thread_counts_give_a_remark(tmp_path):
     for name, threads in (("one", 2), ("two", 2), ("old", None)):
         made.make_field(work, name, "nerf_fit", {"scene": scene}, threads=threads)
     compared, _ = runs_of([work])
-    assert thread_mismatches(compared) == []
+    assert unlike_machines(compared) == []
     made.make_field(work, "three", "nerf_fit", {"scene": scene}, threads=8)
-    reported = thread_mismatches(runs_of([work])[0])
+    reported = unlike_machines(runs_of([work])[0])
     assert len(reported) == 1 and reported[0].why.startswith("Run on 2 and 8 threads")
+
+
+def test_unlike_devices_share_no_front_of_time_or_memory(tmp_path):
+    work = WorkFolder(tmp_path)
+    scene = made.make_scene(work, [0.0], depth=False)
+    for name, device, seconds in (("slow", "cpu", 60.0), ("fast", "cuda", 5.0)):
+        field = made.make_field(work, name, "nerf_fit", {"scene": scene}, device=device, seconds=seconds,
+                                peak_memory_mb=seconds, figures={"parameters": 10})  # fmt: skip
+        runs.report(work, field, {"psnr": 30.0 if device == "cuda" else 29.0})
+    compared, _ = runs_of([work])
+    fronts = on_fronts(compared, ["psnr"])
+    assert all({"psnr/seconds", "psnr/peak_memory_mb"} <= {*fronts[run.title]} for run in compared)
+    assert sum("psnr/parameters" in fronts[run.title] for run in compared) == 1
+    assert unlike_machines(compared)[0].why.startswith("Run on cpu and cuda")
 
 
 def test_what_is_missing_is_named_with_its_command(work):

@@ -57,4 +57,15 @@ def test_blur_is_on_the_front_only_where_nothing_is_better_at_both():
         run("a", "painterly", 0, sifid=1.0, short_rmse=3.0), run("a", "blurred", 0, sifid=5.0, short_rmse=1.0),
         run("a", "worse", 0, sifid=5.0, short_rmse=3.0),
     ]  # fmt: skip
-    assert set(fronts_of(standings_of(cells_of(runs), BETTER), BETTER)["short_rmse"]) == {"painterly", "blurred"}
+    assert set(fronts_of(cells_of(runs), BETTER)["short_rmse"].best) == {"painterly", "blurred"}
+
+
+def test_a_front_is_of_the_blocks_that_have_both_figures():
+    """In scene b, which has no consistency, m is far from the style: that must not take it off the front of scene a."""
+    runs = [
+        run("a", "m", 0, sifid=1.0, long_rmse=1.0), run("a", "n", 0, sifid=3.0, long_rmse=2.0),
+        run("b", "m", 0, sifid=9.0), run("b", "n", 0, sifid=1.0),
+    ]  # fmt: skip
+    front = fronts_of(cells_of(runs), BETTER)["long_rmse"]
+    assert front.best == ("m",)
+    assert front.points["m"] == pytest.approx((2 / 3, 1 / 2))

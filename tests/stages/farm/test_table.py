@@ -112,6 +112,9 @@ def test_all_faults_are_named_at_once(tmp_path):
         ("[" * 3000, "nested too deeply"),
         ("- scenes", "expected a mapping"),
         ("a: [", "table.yaml:"),
+        ("out: {{ folder }}", ":1: a key is a list or mapping"),
+        ("? [a, b]\n: 1", ":1: a key is a list or mapping"),
+        *((f"a: {text}", "table.yaml:") for text in ("!!timestamp x", '!!int ""', "!!bool x", "!!map [1]")),
         ("\ud800", ""),
     ],
 )
@@ -140,6 +143,31 @@ def test_every_job_comes_after_what_it_waits_for(tmp_path):
     assert set(fields_of(table)) == {
         (job.scene, job.name) for job in jobs.values() if job.kind == "field" and job.rule != "deform"
     }
+
+
+def evaluations(table) -> dict[str, list[str]]:
+    """Arguments of evaluations by the name of the field."""
+    return {job.name: [*job.argv] for job in jobs_of(table).values() if job.rule == "eval"}
+
+
+def test_each_field_is_measured_by_what_it_can_be_measured_by(tmp_path):
+    red = {"at": ["#0:1,1"], "recolor": True, "palette": ["0=#ff0000"]}
+    found = evaluations(read(tmp_path, eval={"ceiling": 5, "train_views": True}, edits={"red": red}))
+    assert "--ceiling" in found["night-arf-s0"] and "--train-views" not in found["night-arf-s0"]
+    assert not {"--ceiling", "--train-views", "--region"} & {*found["fit-s0"]}
+    edit = found["edit-red-s0"]
+    assert edit[edit.index("--region") + 1] == "edit-red-s0" and "--train-views" in edit and "--ceiling" not in edit
+
+
+def test_files_that_options_name_are_found_from_any_folder(tmp_path):
+    for name in ("cameras.json", "head.png"):
+        (tmp_path / name).write_bytes(b"")
+    (tmp_path / "orbit").mkdir()  # no camera file, although it has a path's name
+    found = evaluations(read(tmp_path, eval={"path": "cameras.json", "reference": ["#0=head.png"]}))["night-arf-s0"]
+    assert found[found.index("--path") + 1] == str(tmp_path / "cameras.json")
+    assert found[found.index("--reference") + 1] == f"#0={tmp_path / 'head.png'}"
+    renders = [job for job in jobs_of(read(tmp_path, render={"path": "orbit"})).values() if job.rule == "render"]
+    assert not any(str(tmp_path) in word for job in renders for word in job.argv)
 
 
 def test_two_jobs_never_write_the_same_artifact_at_once(tmp_path):
