@@ -48,6 +48,12 @@ class BadInput(StylerfError):
     exit_code = 3
 
 
+class InputGone(BadInput):
+    """A file that a run read is no longer there."""
+
+    keeps_run = True
+
+
 class NoVideo(BadInput):
     """Frames were rendered, but could not be encoded as a video."""
 

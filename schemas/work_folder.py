@@ -15,7 +15,7 @@ from pathlib import Path
 from schemas import safe_names
 from schemas.artifact import MADE_BY, Artifact
 from schemas.atomic_write import writing
-from schemas.canonical_json import file_sha256
+from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, StylerfError, UsageError
 from schemas.manifest import MANIFEST, InputRef, Recipe
 from schemas.migrations import CURRENT
@@ -34,7 +34,8 @@ __all__ = [
 ]
 
 CLOCK_SLACK = timedelta(minutes=5)  # tolerated difference between the clocks of two machines
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
+LONGEST_NAME = 100  # characters
+_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9._+-]{{0,{LONGEST_NAME - 1}}}")
 
 
 class WorkFolder:
@@ -206,12 +207,19 @@ def _known(kind: str) -> str:
     return kind
 
 
+def shortened_name(name: str) -> str:
+    """Return a name that was put together of others, cut to the longest valid length, with a digest of the whole."""
+    if len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[: LONGEST_NAME - 7]}-{digest_of(name)[:6]}"
+
+
 def valid_name(name: str) -> str:
     """Return `name` if it is a valid name of an artifact, else raise UsageError."""
     if not _NAME.fullmatch(name):
         raise UsageError(
-            f"{name!r} is not a valid name: expected up to 100 letters, digits, '.', '_', '+' or '-', beginning with a "
-            "letter or digit"
+            f"{name!r} is not a valid name: expected up to {LONGEST_NAME} letters, digits, '.', '_', '+' or '-', "
+            "beginning with a letter or digit"
         )
     if safe_names.WINDOWS and (why := safe_names.refused_by_windows(name)):
         raise UsageError(f"{name!r} cannot name an artifact on Windows: it {why}")

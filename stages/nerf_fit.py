@@ -103,6 +103,7 @@ def report_ineffective_options(config: FitConfig, layout: str, space: str, cut_o
         "opacity_weight": layout == "object",
         "coverage_weight": layout == "object" and cut_out,
         "visual_hull": space == "box" and cut_out,
+        "background": cut_out,
     }
     idle = [name for name, used in works.items() if not used and getattr(config, name) != getattr(FitConfig, name)]
     if idle:

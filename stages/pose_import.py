@@ -106,7 +106,6 @@ def run(inputs: dict[str, Artifact], config: ImportConfig, partial: PartialArtif
 def _source(config: ImportConfig, partial: PartialArtifact, context: Context) -> SourceScene:
     source = Path(config.source)
     found = found_in(source, config.format)
-    _check_options(found.kind, config)
     if found.kind == "splats":
         files = splats.files_of(source, config.cameras)
         return splats.rendered(files, partial.checkpoint / "renders", context)
@@ -141,7 +140,9 @@ def video_of(source: Path) -> list[Path]:
     raise BadInput(f"{source} holds no video ({', '.join(VIDEOS)}); give a clip or a folder of clips")
 
 
-def _check_options(kind: str, config: ImportConfig) -> None:
+def check_options(config: ImportConfig) -> None:
+    """Raise BadInput for options that do not apply to what the source holds."""
+    kind = found_in(Path(config.source), config.format).kind
     if kind in ("video", "splats") and config.images:
         raise BadInput(f"--images names a folder of photos; leave it out for {kind}")
     if kind != "splats" and config.cameras:

@@ -156,7 +156,7 @@ def _number(text: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if math.isnan(value):
+    if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"expected a number, not {text!r}")
     return value
 
@@ -216,7 +216,8 @@ def _one_from_toml(value: Any, base: Any, item: Field, where: str) -> Any:
     if base is Path and isinstance(value, str):
         return Path(value)
     sound = isinstance(value, base) or (base is float and isinstance(value, int))
-    if not sound or (isinstance(value, bool) and base is not bool) or (isinstance(value, float) and math.isnan(value)):
+    sound = sound and (base is bool or not isinstance(value, bool))
+    if not sound or (isinstance(value, float) and not math.isfinite(value)):
         words = {int: "a whole number", float: "a number", str: "a text in quotes", bool: "true or false"}
         raise UsageError(f"{where} takes {words.get(base, base.__name__)}, not {value!r}")
     return float(value) if base is float else value

@@ -88,6 +88,11 @@ class EditConfig:
             raise ValueError("--crop uses its square as it is; leave --keep-frame out")
         if not STROKES[0] <= self.stroke <= STROKES[1]:
             raise ValueError(f"stroke must be in {STROKES[0]}..{STROKES[1]}")
+        if negative := [one.name for one in fields(EditConfig) if one.name.endswith("_weight")
+                        and getattr(self, one.name) < 0]:  # fmt: skip
+            raise ValueError(f"{', '.join(negative)} must not be negative")
+        if self.style_side < 16 or self.preview_every < 0 or self.checkpoint_every_seconds <= 0:
+            raise ValueError("style_side must be at least 16, preview_every at least 0, checkpoint_every_seconds > 0")
         if not 1 <= self.max_colors <= self.colors <= 16:
             raise ValueError("colors must be 1 to 16, max_colors 1 to colors")
         if budget_of(self.budget)[1]:
@@ -176,13 +181,15 @@ class FinetuneConfig:
         budget_of(self.budget)
         if self.rays < 64 or not 0 < self.inside <= 1 or self.rate < 0:
             raise ValueError("rays must be at least 64, inside in (0, 1], rate at least 0")
-        if not 0 <= self.beside <= 1 - self.inside:
-            raise ValueError("beside must be at least 0, inside and beside together at most 1")
+        if self.freeze_density and self.density_factor > 0:
+            raise ValueError("--density-factor has no effect with --freeze-density; leave it out")
         if self.colors == "region" and self.rates[1] == 0:
             for name in ("beside", "depth_weight"):
                 if getattr(self, name) != getattr(type(self), name):
                     flag = "--" + name.replace("_", "-")
                     raise ValueError(f"{flag} has no effect while only a region's own colors learn")
+        elif self.beside < 0 or self.inside + self.beside > 1 + 1e-9:  # 0.8 + 0.2 is more than 1 by rounding
+            raise ValueError("beside must be at least 0, inside and beside together at most 1")
         if (self.density_factor < 0 and self.density_factor != -1) or self.depth_weight < 0:
             raise ValueError("density_factor must be at least 0, or -1, and depth_weight at least 0")
 

@@ -100,6 +100,9 @@ class FitConfig:
             kinds_of(self.field)
         if min(self.opacity_weight, self.coverage_weight, self.gradient_clip) < 0:
             raise ValueError("opacity_weight, coverage_weight and gradient_clip must not be negative")
+        by_layout = ("smoothness", "near_scaling_distance", "distortion_weight", "least_weight", "held_out")
+        if wrong := [name for name in by_layout if getattr(self, name) < 0 and getattr(self, name) != -1]:
+            raise ValueError(f"{', '.join(wrong)} must be at least 0, or -1")
         if self.distortion_weight > 1 or self.least_weight > 1:
             raise ValueError("distortion_weight and least_weight must be at most 1")
         if not 0 <= self.visual_hull <= 1:

@@ -80,7 +80,7 @@ class RenderConfig:
 
 def label_of(path: str) -> str:
     """What frames along a path are named after: the path, or the name of its file as an artifact's may be written."""
-    return re.sub(r"[^A-Za-z0-9._+-]+", "_", Path(path).stem)
+    return re.sub(r"[^A-Za-z0-9._+-]+", "_", Path(path).stem).strip("._+-") or "path"
 
 
 def frames_of(text: str, count: int) -> range:

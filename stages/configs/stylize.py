@@ -148,6 +148,8 @@ class StylizeConfig:
             raise ValueError("diversity must not be negative")
         if self.match_by == "nearest" and self.diversity != StylizeConfig.diversity:
             raise ValueError("--diversity has no effect with --match-by nearest; leave it out")
+        if self.style_weight < 0:
+            raise ValueError("style_weight must not be negative")
         if self.max_gain < 0:
             raise ValueError("max_gain must not be negative (0: no limit)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
@@ -270,6 +272,7 @@ class RefNprConfig(ArfConfig):
         (), metavar="VIEW=FILE", help="a training view and its stylized image; repeatable", digest="references_digest"
     )
     references_digest: str = ""  # sha256 of the references
+    decoder_digest: str = ""  # of the weights that `--reference-by adain` decodes with
     reference_by: str = option(
         "",
         choices=("", "gram", "features", "adain"),

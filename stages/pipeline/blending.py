@@ -8,8 +8,6 @@ from stages.configs.blend import BlendConfig, text_of
 from stages.pipeline.prerequisites import input_of
 from stages.pipeline.stage_runner import Request, StageRunner
 
-LONGEST_NAME = 100
-
 
 def blended(runner: StageRunner, config: BlendConfig, request: Request) -> Artifact:
     """Blend fields that were made from one field; the result is named after them.
@@ -36,8 +34,7 @@ def blended(runner: StageRunner, config: BlendConfig, request: Request) -> Artif
     except ValueError as error:  # two abbreviations of one name
         raise UsageError(str(error)) from error
     name = "+".join(dict.fromkeys(f"{part.field}.{part.region}" if part.region else part.field for part in named))
-    default = name if len(name) <= LONGEST_NAME else "blend"
-    return runner.run(blend.SPEC, blend.run, inputs, config, default, request)
+    return runner.run(blend.SPEC, blend.run, inputs, config, name, request)
 
 
 def source_of(work: WorkFolder, field: Artifact, option: str) -> Artifact:

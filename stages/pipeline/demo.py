@@ -77,9 +77,10 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
 
     fit_test, style_test = frames(fit, "test"), frames(stylized, "test")
     video = frames(stylized, "orbit", count=config.frames, video=True, fps=12.0)
-    fit_report = made(evaluate, {"scene": scene, "field": fit, "frames": fit_test}, EvaluateConfig(), fit.name)
+    inputs = {"scene": scene, "field": fit, "frames": fit_test}
+    fit_report = made(evaluate, inputs, evaluate.pinned(EvaluateConfig(), fit), fit.name)
     inputs = {"scene": scene, "field": stylized, "frames": style_test, "base_frames": fit_test, "path_frames": video}
-    report = made(evaluate, inputs, EvaluateConfig(), stylized.name)
+    report = made(evaluate, inputs, evaluate.pinned(EvaluateConfig(), stylized), stylized.name)
     sheet = runner.work.root / "contact-sheet.png"
     _write_sheet(sheet, photos, fit_test, style_test)
     return Demo(sheet, report, fit_report, video)

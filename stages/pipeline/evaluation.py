@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from schemas.canonical_json import plain
 from schemas.errors import StylerfError, UsageError
 from schemas.frames import FRAMES_FILE, read_frames
-from schemas.work_folder import Artifact, WorkFolder, newest
+from schemas.work_folder import Artifact, WorkFolder, newest, shortened_name
 from stages.configs.evaluate import EvaluateConfig
 from stages.configs.render import MEASURABLE, OWN_VIEWS, label_of
 from stages.pipeline.prerequisites import ensure_frames, field_named, frames_config, scene_of
@@ -126,7 +126,7 @@ def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
     ]
     if usable:
         return newest(usable)[0]
-    name = f"{field.name}-{label_of(path)}"
+    name = shortened_name(f"{field.name}-{label_of(path)}")
     present = next((one for one in runner.work.artifacts("frames") if one.name == name), None)
     if present is not None:
         _check(present)  # unreadable frames, perhaps of a newer stylerf, are not replaced unasked

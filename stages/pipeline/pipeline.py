@@ -17,7 +17,7 @@ from typing import Any
 
 from schemas.errors import ArtifactDamaged, ArtifactStale
 from schemas.scene import read_scene
-from schemas.work_folder import Artifact, WorkFolder
+from schemas.work_folder import Artifact, WorkFolder, shortened_name
 from stages.configs.blend import BlendConfig
 from stages.configs.decompose import PaletteFieldConfig
 from stages.configs.deform import DeformConfig
@@ -136,7 +136,7 @@ class Pipeline:
 
     def render_views(self, field: Artifact) -> Artifact:
         """Render a field from all views of its scene, unless they are up to date; return the frames."""
-        name = f"{field.name}-views"
+        name = shortened_name(f"{field.name}-views")
         if not self._made_from(name, field):
             scene = read_scene(prerequisites.scene_of(self.work, field).path)
             largest = max(scene.views, key=lambda view: view.width * view.height)

@@ -206,13 +206,16 @@ def imported(runner: StageRunner, source: Path, options: ImportOptions, request:
 
 def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportConfig:
     """Return the options of an import with its source and the digest of its files, so that changes are noticed."""
-    from stages.pose_import import digest_of_source
+    from stages.pose_import import check_options, digest_of_source
 
     source = source.resolve()
     if options.cameras:
         options = replace(options, cameras=str(Path(options.cameras).resolve()))
     digest = digest_of_source(source, options.format, options.images, options.cameras)
-    return ImportConfig(**asdict(options), source=str(source), source_digest=digest)
+    config = ImportConfig(**asdict(options), source=str(source), source_digest=digest)
+    # Options that name files are not part of the recipe: where they do not apply, nothing later would refuse them.
+    check_options(config)
+    return config
 
 
 LONGEST_NAME = 60  # names of artifacts made with a style image append to its name

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
 from schemas.errors import ArtifactStale
-from schemas.work_folder import Artifact, WorkFolder, newest, valid_name
+from schemas.work_folder import Artifact, WorkFolder, newest, shortened_name, valid_name
 from stages.configs import flags_of
 from stages.pipeline.distributed import agree, follow, lead, release
 from stages.pipeline.resources import resolved_device
@@ -119,13 +119,14 @@ class StageRunner:
         """Run a stage, or reuse its artifact if that is up to date.
 
         Args:
-            name: default name of the artifact.
+            name: default name of the artifact, shortened if it is too long.
             request: how the caller asked for this stage; None for a prerequisite, which is announced before it runs.
             by: arguments besides work folder, name and options that the command making a prerequisite needs.
 
         Raises:
             ArtifactStale: a prerequisite is not up to date and `only` is set. The message holds the command to run.
         """
+        name = shortened_name(name)
         if not self.processes.first:
             # Followers never look whether the artifact is up to date: the leader decides, and may be writing it.
             made = follow(self.processes, run, inputs, config, self.context, self.work.root)
@@ -172,7 +173,8 @@ class StageRunner:
 
         def name() -> str:
             made = self.made_from(spec.writes, spec.stage, source)
-            return "" if made is None or self.work.outdated(made) else made.name
+            current = made is not None and made.manifest.revision == spec.revision and not self.work.outdated(made)
+            return made.name if made is not None and current else ""
 
         # Only names travel between processes: each opens the artifact itself.
         found = agree(self.processes, name)

@@ -51,6 +51,8 @@ def stylized(
         more, name = {"region": region}, f"{region.name}-{name}"
         if config.match in ("after", "both"):
             raise UsageError(f"--match {config.match} maps every pixel; with --region, use before or none")
+        if config.keep_colors:
+            raise UsageError("--keep-colors maps every pixel; leave it out with --region --method refnpr")
     scene = training_pictures(runner.work, field)
     if config.method == "desrf":
         field = ensure_deformed(runner, scene, field)
@@ -63,13 +65,14 @@ def _pinned(config: StylizeConfig) -> tuple[StylizeConfig, str]:
     """Fill in the digests of the files that the options name, checking that they can be read; return a name too."""
     from schemas.canonical_json import file_sha256
     from stages.artifacts.style_images import digest_of, read_style_image
-    from stages.weights.resolve import chosen
+    from stages.weights.resolve import chosen, resolve_decoder
 
     pairs = [file_of(text) for text in config.references]
     files: dict[str, Any] = chosen(config.features)
     if isinstance(config, RefNprConfig):
         files["references_digest"] = digest_of(config.reference)
         files["reference"] = tuple(f"{view}={file.resolve()}" for view, file in pairs)
+        files["decoder_digest"] = resolve_decoder().digest if config.reference_by == "adain" else ""
     config = replace(config, **files)
     if not config.style:
         return config, name_of(pairs[0][1])

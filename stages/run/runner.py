@@ -11,7 +11,7 @@ from typing import Any
 
 from schemas.atomic_write import out_of_resources
 from schemas.canonical_json import plain
-from schemas.errors import ArtifactStale, BadInput, OutOfResources, StylerfError, UsageError
+from schemas.errors import ArtifactStale, BadInput, InputGone, OutOfResources, StylerfError, UsageError
 from schemas.partial_artifact import EXPENSIVE_SECONDS, UnlikeInterrupted
 from schemas.work_folder import Artifact, PartialArtifact, Recipe, WorkFolder, sources_of
 from stages.configs import extent, incidental
@@ -201,9 +201,19 @@ def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact]) -> None:
 
 
 def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact], config: Any) -> None:
-    """Do as _verify, and raise BadInput if a file outside the work folder changed since the run began."""
+    """Do as _verify, and raise BadInput if a file outside the work folder changed since the run began.
+
+    Raises InputGone, which keeps the run, if one is no longer there.
+    """
     _verify(spec, recipe, inputs)
-    for option, digest in (spec.outside(config) if spec.outside else {}).items():
+    try:
+        outside = spec.outside(config) if spec.outside else {}
+    except FileNotFoundError as error:
+        raise InputGone(
+            f"{error.filename} is gone, which `stylerf {spec.verb}` needs to the end; put it back and rerun the same "
+            "command"
+        ) from error
+    for option, digest in outside.items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")
             raise BadInput(f"--{what} changed while `stylerf {spec.verb}` read it; rerun the same command")

@@ -11,6 +11,7 @@ folder with weights of the user's own, see stages.weights.sources).
 import hashlib
 import os
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -176,10 +177,10 @@ def _named(source: Source) -> ResolvedExtractor:
 
 def _read(source: Source) -> ResolvedExtractor | None:
     """From the cache when its numbers are what they should be, else converted from the files of origin and cached."""
-    cached = _from_cache(source)
+    files = source.locate()
+    cached = _from_cache(source, files)
     if cached is not None:
         return cached
-    files = source.locate()
     if files is None:
         return None
     for file in files:
@@ -191,7 +192,7 @@ def _read(source: Source) -> ResolvedExtractor | None:
             f"weights {files[0]}: the numbers are not those of {source.name} (digest {digest[:12]}, expected "
             f"{source.digest[:12]}); install it again with: {source.obtain}"
         )
-    _keep(source, state, digest)
+    _keep(source, state, digest, files)
     return ResolvedExtractor(source.name, digest, files[0], source.words, state, source.kind)
 
 
@@ -205,14 +206,18 @@ def _cached(source: Source) -> Path | None:
     return path if path.is_file() and (source.digest or not_ours(path) is None) else None
 
 
-def _from_cache(source: Source) -> ResolvedExtractor | None:
-    """None when nothing is cached or what is there is damaged (it is then made again)."""
+def _from_cache(source: Source, files: Sequence[Path] | None) -> ResolvedExtractor | None:
+    """None when nothing is cached, or what is there is damaged or of other files of origin (it is then made again)."""
     path = _cached(source)
     if path is None:
         return None
     try:
         with safe_open(path, framework="pt") as file:
-            expected = source.digest or (file.metadata() or {}).get("digest")
+            known = file.metadata() or {}
+            expected = source.digest or known.get("digest")
+            # Files of the user may be replaced by others of the same name.
+            if source.digest is None and files is not None and known.get("files") != _digests(files):
+                return None
             state = {name: file.get_tensor(name) for name in file.keys()}
     except (OSError, SafetensorError):
         return None
@@ -222,10 +227,15 @@ def _from_cache(source: Source) -> ResolvedExtractor | None:
     return ResolvedExtractor(source.name, digest, path, source.words, state, source.kind)
 
 
-def _keep(source: Source, state: dict[str, Tensor], digest: str) -> None:
+def _digests(files: Sequence[Path]) -> str:
+    return " ".join(file_sha256(file) for file in files)
+
+
+def _keep(source: Source, state: dict[str, Tensor], digest: str, files: Sequence[Path]) -> None:
     """Writes the cache file whole or not at all; a folder that cannot be written to only costs the next conversion."""
     path = _cached_file(source)
-    data = save(state, metadata={"name": source.name, "kind": source.kind, "digest": digest})
+    known = {"name": source.name, "kind": source.kind, "digest": digest, "files": _digests(files)}
+    data = save(state, metadata=known)
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

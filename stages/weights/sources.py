@@ -28,6 +28,7 @@ WCT_DECODER = (1, 5, 8, 12, 15)
 ST_VGG16 = ("1.0", "1.2", "2.6", "2.8", "3.12", "3.14", "3.16", "4.20", "4.22", "4.24", "5.28", "5.30", "5.32")
 ST_ALEX = ("1.0", "2.5", "3.9", "4.11", "5.13")
 TORCHVISION_ALEX = (0, 3, 6, 8, 10)
+LARGEST_KERNEL = 512 * 512 * 3 * 3  # numbers, of VGG-16
 SQUEEZE_FIRES = (3, 4, 6, 7, 9, 10, 11, 12)
 
 
@@ -41,6 +42,8 @@ def read_file(path: Path) -> Mapping[str, Tensor]:
         found = torch.load(path, map_location="cpu", weights_only=True)
     except (OSError, SafetensorError, RuntimeError, ValueError, KeyError, EOFError) as error:
         raise BadInput(f"weights {path}: cannot be read ({_one_line(error)}); fetch the file again") from error
+    except MemoryError:
+        raise
     except Exception as error:  # the unpickler's own class, whose words advise to trust the file
         raise BadInput(
             f"weights {path}: it holds more than tensors, which is never run; save its tensors alone, as .safetensors"
@@ -63,8 +66,11 @@ def _read_hed(path: Path) -> State:
         for block, count in BLOCKS.items():
             for i in range(count):
                 group = file[f"block{block}/layers/conv2d{f'_{i}' if i else ''}/vars"]
-                state[f"hed.conv{block}_{i + 1}.weight"] = torch.from_numpy(group["0"][()])
-                state[f"hed.conv{block}_{i + 1}.bias"] = torch.from_numpy(group["1"][()])
+                for part, place, dimensions in (("weight", "0", 4), ("bias", "1", 1)):
+                    data = group[place]
+                    if data.dtype.kind != "f" or data.ndim != dimensions or data.size > LARGEST_KERNEL:
+                        raise ValueError(f"{data.name} is no {part} of a VGG-16")
+                    state[f"hed.conv{block}_{i + 1}.{part}"] = torch.from_numpy(data[()])
     return state
 
 
@@ -221,7 +227,22 @@ def converted(convert: Callable[..., State], path: Path, *found: Mapping[str, Te
     bad = [name for name, value in state.items() if not torch.isfinite(value).all()]
     if bad:
         raise BadInput(f"weights {path}: {bad[0]} holds numbers that are not finite; fetch the file again")
+    if wrong := _of_wrong_shape(state):
+        raise BadInput(f"weights {path}: {wrong} is of the shape {list(state[wrong].shape)}; fetch the file again")
     return state
+
+
+def _of_wrong_shape(state: State) -> str:
+    """Name a tensor that breaks the chain of 3x3 convolutions, empty for none."""
+    expected = {name: (3,) for name in ("input.scale", "input.shift") if name in state}
+    channels = 3
+    for layer in LAYERS:
+        if f"{layer}.weight" not in state:
+            break
+        out = len(state[f"{layer}.weight"])
+        expected |= {f"{layer}.weight": (out, channels, 3, 3), f"{layer}.bias": (out,)}
+        channels = out
+    return next((name for name, shape in expected.items() if tuple(state[name].shape) != shape), "")
 
 
 Paths = tuple[Path, ...]

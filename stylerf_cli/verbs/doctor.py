@@ -63,10 +63,10 @@ def _check(topic: str, name: str, ok: bool, words: str, how: str = "", needed: b
 def _python() -> list[dict[str, Any]]:
     from stylerf import __version__
 
-    sound = (3, 11) <= sys.version_info[:2] < (3, 14)
+    sound = (3, 11) <= sys.version_info[:2] < (3, 15)
     where = f"{platform.python_version()} at {sys.executable}, {platform.platform()}"
     return [
-        _check("python", "python", sound, where, "install Python 3.11, 3.12 or 3.13 and make a venv with it"),
+        _check("python", "python", sound, where, "install Python 3.11, 3.12, 3.13 or 3.14 and make a venv with it"),
         _check("python", "stylerf", True, f"{__version__} at {Path(__file__).parent.parent.parent}"),
     ]
 

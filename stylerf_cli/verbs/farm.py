@@ -79,7 +79,7 @@ def _refuse_common(args: Any) -> None:
         ("threads", "the table sets the threads of a job; --cores limits all jobs"), ("force", "delete artifacts to "
         "make them again"), ("only", "every job of a table runs its own stage only"),
     ):  # fmt: skip
-        if getattr(args, flag):
+        if getattr(args, flag) not in (None, False):
             raise UsageError(f"--{flag} has no effect here: {why}; leave it out")
 
 

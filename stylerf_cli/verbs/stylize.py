@@ -26,14 +26,17 @@ def options_for(argv: list[str]) -> type:
         *pairwise(argv)
     ]
     method = next((value for flag, value in pairs if flag == "--method"), "")
+    table = _table_of(next((value for flag, value in pairs if flag == "--config"), ""))
     if any(one.partition("=")[0] == "--region" for one in argv):
+        # A file may serve whole scenes too, whose other methods do not bind a region.
+        method = method or (WITHIN if table.get("method") == WITHIN else "")
         if method not in ("", WITHIN):
             raise UsageError(
                 f"--method {method} stylizes whole scenes; with --region, use --method {WITHIN} (from a stylized view) "
                 "or none (LAENeRF)"
             )
-        return METHOD_CONFIGS[method] if method else RegionConfig
-    table = _table_of(next((value for flag, value in pairs if flag == "--config"), ""))
+        if not method:
+            return RegionConfig
     method = method or str(table.get("method", ArfConfig.method))
     if method in METHOD_CONFIGS:
         flags = [one.partition("=")[0].removeprefix("--").removeprefix("no-") for one in argv if one.startswith("--")]

@@ -3,9 +3,10 @@
 import webbrowser
 from typing import Any
 
+from schemas.errors import UsageError
 from stages.configs.view import ViewConfig
 from stylerf_cli.arguments import Parser
-from stylerf_cli.session import Session
+from stylerf_cli.session import Common, Session
 
 CONFIG = ViewConfig
 NAMELESS = "the page names what it makes"
@@ -17,6 +18,20 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--of", metavar="FIELD", default="", help="field to show first (default: the newest)")
 
 
+def passed_on(args: Any, common: Common) -> tuple[str, ...]:
+    """Return the common options that hold for the commands of the page too."""
+    found: tuple[str, ...] = ()
+    for flag, value, default in (
+        ("--seed", common.seed, 0), ("--threads", common.threads, None), ("--device", common.device, "auto"),
+        ("--memory", common.memory, 0),
+    ):  # fmt: skip
+        if value != default:
+            found += (flag, str(value))
+    if args.no_paths:
+        found += ("--no-paths",)
+    return found
+
+
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Serve until interrupted; return the address."""
     from stages.pipeline.resources import usable_threads
@@ -24,10 +39,11 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     from stylerf_cli.output import write_lines
 
     common = session.common
-    passed: tuple[str, ...] = ("--seed", str(common.seed)) if common.seed else ()
-    if common.threads:
-        passed += ("--threads", str(common.threads))
-    viewer = Viewer(args.work, session.config, common.threads or usable_threads(), args.of, session.say, passed)
+    for flag, why in (("force", "the page asks before it replaces anything"), ("only", "the page runs whole edits")):
+        if getattr(args, flag):
+            raise UsageError(f"--{flag} has no effect here: {why}; leave it out")
+    threads = common.threads or usable_threads()
+    viewer = Viewer(args.work, session.config, threads, args.of, session.say, passed_on(args, common))
     try:
         if not session.json:
             write_lines([f"{viewer.url}  (Ctrl-C ends the viewer)"])

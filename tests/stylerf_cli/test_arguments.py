@@ -192,6 +192,34 @@ def help_of(everything: bool) -> str:
     return parser.format_help()
 
 
+def test_the_method_of_a_region_may_be_set_in_the_file(tmp_path):
+    from stages.configs.edit import RegionConfig
+    from stages.configs.stylize import RefNprConfig
+    from stylerf_cli.verbs.stylize import options_for
+
+    file = tmp_path / "c.toml"
+    arguments = ["work", "--region", "shovel", "--config", str(file)]
+    for method, config in (("refnpr", RefNprConfig), ("snerf", RegionConfig)):
+        file.write_text(f'[stylize]\nmethod = "{method}"\n')
+        assert options_for(arguments) is config
+    file.write_text('[stylize]\nmethod = "refnpr"\nbend = 2.0\n')
+    with pytest.raises(UsageError, match="bend"):
+        options_for(arguments)
+
+
+def test_the_page_of_view_hands_on_the_common_options():
+    from argparse import Namespace
+
+    from stylerf_cli.session import Common
+    from stylerf_cli.verbs.view import passed_on
+
+    assert passed_on(Namespace(no_paths=False), Common()) == ()
+    given = Common(seed=3, device="cpu", threads=2, memory=4_000_000_000)
+    assert passed_on(Namespace(no_paths=True), given) == (
+        "--seed", "3", "--threads", "2", "--device", "cpu", "--memory", "4000000000", "--no-paths",
+    )  # fmt: skip
+
+
 def test_advanced_options_are_listed_in_the_whole_help_alone():
     short, whole = help_of(False), help_of(True)
     assert "--rate" in short and "--levels" not in short and "--memory" not in short

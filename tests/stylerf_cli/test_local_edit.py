@@ -338,6 +338,8 @@ def test_a_part_is_stylized_without_matching_whole_pictures(edited, capsys):
     options = "--region", "ball", "--style", painting, "--method", "refnpr", "--match", "both"
     reported = refused(capsys, "stylize", edited, *options)
     assert "--match both maps every pixel" in reported
+    reported = refused(capsys, "stylize", edited, *options[:-2], "--keep-colors")
+    assert "--keep-colors maps every pixel" in reported
     reported = refused(capsys, "stylize", edited, "--region", "ball", "--of", "ball", "--style", painting, "--method",
                    "refnpr")  # fmt: skip
     assert "--of ball: region ball was selected in field fit; select it again" in reported

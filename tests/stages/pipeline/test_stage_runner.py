@@ -1,6 +1,7 @@
 """How requested stages and prerequisites are run, reused, announced and refused."""
 
 import queue
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -47,6 +48,19 @@ def test_prerequisites_are_announced_made_once_and_never_renamed(tmp_path):
 def test_a_name_that_no_artifact_can_have_is_refused_at_once():
     with pytest.raises(UsageError, match="is not a valid name"):
         Request("../fox")
+
+
+def test_what_an_older_revision_made_is_made_again(tmp_path):
+    stages = runner(tmp_path)
+    scene = stages.run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "fox")
+    stages.run(toy_stage.SPEC, toy_stage.run, {"scene": scene}, ToyConfig(), "fox", Request())
+    assert stages.reusable(toy_stage.SPEC, scene).name == "fox"
+    assert stages.reusable(replace(toy_stage.SPEC, revision=toy_stage.SPEC.revision + 1), scene) is None
+
+
+def test_default_names_of_any_length_are_made_valid(tmp_path):
+    made = runner(tmp_path).run(UPSTREAM, toy_stage.run, {}, ToyConfig(steps=3), "x" * 130, Request())
+    assert len(made.name) == 100
 
 
 def test_only_refuses_missing_prerequisites_with_their_command(tmp_path):

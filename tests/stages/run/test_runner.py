@@ -24,6 +24,7 @@ import stages.configs
 from schemas import atomic_write
 from schemas import partial_artifact as partial
 from schemas.artifact import VERB_OF
+from schemas.canonical_json import file_sha256
 from schemas.errors import ArtifactDamaged, ArtifactStale, BadInput, OutOfResources, UsageError
 from schemas.manifest import MANIFEST, Recipe
 from schemas.work_folder import Artifact, WorkFolder
@@ -309,6 +310,30 @@ def test_where_a_file_lies_has_no_say_once_its_content_is_known():
     assert made("/here/a.png", "12").digest != made("/here/a.png", "13").digest
     assert made("/here/a.png", "").digest != made("/there/b.png", "").digest
     assert made("/here/a.png", "12").config["style"] == "/here/a.png"  # reported in the manifest all the same
+
+
+def test_a_file_that_is_gone_at_the_end_does_not_cost_the_run(tmp_path):
+    @dataclass(frozen=True)
+    class Config(ToyConfig):
+        style: str = option("", help="a file", digest="style_digest")
+        style_digest: str = ""
+
+    style = tmp_path / "style.png"
+    style.write_bytes(b"paint")
+    spec = replace(SPEC, outside=lambda config: {"style_digest": file_sha256(config.style)})
+    config = Config(style=str(style), style_digest=file_sha256(style))
+
+    def moved(*arguments):
+        figures = run(*arguments)
+        style.rename(tmp_path / "elsewhere.png")
+        return figures
+
+    work = WorkFolder(tmp_path / "work")
+    with pytest.raises(BadInput, match=r"style\.png is gone, which .* needs to the end; put it back") as gone:
+        execute(spec, moved, work, "fox", {}, config, Context())
+    assert gone.value.keeps_run and list((tmp_path / "work").rglob("*.partial"))
+    (tmp_path / "elsewhere.png").rename(style)
+    assert execute(spec, run, work, "fox", {}, config, Context())[0].manifest.figures["runs"] == 2
 
 
 def test_expensive_work_of_other_inputs_is_reported_when_it_is_given_up(tmp_path, monkeypatch):

@@ -249,6 +249,18 @@ def test_the_cache_serves_when_the_package_is_gone_and_is_whole(nowhere, package
     assert all(torch.equal(again.state[name], value) for name, value in first.state.items())
 
 
+def test_the_cache_does_not_hide_that_a_file_of_the_user_was_replaced(nowhere, monkeypatch):
+    own = nowhere / "own"
+    st_file(own / "alex_shift_tolerant.pth", "alex")
+    monkeypatch.setenv("STYLERF_WEIGHTS", str(own))
+    pin(monkeypatch, "st-lpips-alex", None)
+    first, again = (resolve.resolve_metric("st-lpips-alex") for _ in range(2))
+    assert again.digest == first.digest and again.path.suffix == ".safetensors"
+    content = torch.load(own / "alex_shift_tolerant.pth")
+    torch.save({name: value + 1 for name, value in content.items()}, own / "alex_shift_tolerant.pth")
+    assert resolve.resolve_metric("st-lpips-alex").digest != first.digest
+
+
 def test_a_flipped_bit_in_the_cache_is_found_and_mended(nowhere, packages):
     first = resolve.resolve("hed-vgg16")
     cached = nowhere / "cache/features/hed-vgg16.safetensors"
@@ -298,6 +310,13 @@ def test_damaged_and_foreign_files_are_refused_in_words(nowhere):
     torch.save({"some.weight": torch.zeros(3)}, nowhere / "other.pth")
     with pytest.raises(BadInput, match="none of the known"):
         resolve.resolve(nowhere / "other.pth")
+    save_file(layers() | {"input.scale": torch.ones(1), "input.shift": torch.zeros(3)}, nowhere / "scale.safetensors")
+    with pytest.raises(BadInput, match=r"input\.scale is of the shape \[1\]"):
+        resolve.resolve(nowhere / "scale.safetensors")
+    with h5py.File(nowhere / "huge.h5", "w") as file:
+        file.create_dataset("block1/layers/conv2d/vars/0", (10**7, 10**7), "f4", chunks=(1000, 1000))
+    with pytest.raises(BadInput, match="is no weight of a VGG-16"):
+        resolve.resolve(nowhere / "huge.h5")
     state = layers()
     state["conv1_1.weight"][0, 0, 0, 0] = torch.nan
     with pytest.raises(BadInput, match="not finite"):

@@ -1,0 +1,37 @@
+"""Options that a stage cannot use as given are refused before anything runs."""
+
+import pytest
+
+from stages.configs.edit import EditConfig, FinetuneConfig
+from stages.configs.fit import FitConfig
+from stages.configs.render import label_of
+from stages.configs.stylize import ArfConfig
+
+
+@pytest.mark.parametrize(
+    ("config", "options", "words"),
+    [
+        (ArfConfig, {"style": "x", "style_weight": -1.0}, "style_weight must not be negative"),
+        (EditConfig, {"style": "x", "style_weight": -1.0, "edge_weight": -2.0}, "style_weight, edge_weight must not"),
+        (EditConfig, {"style": "x", "style_side": -3}, "style_side must be at least 16"),
+        (FitConfig, {"held_out": -7}, "held_out must be at least 0, or -1"),
+        (FitConfig, {"smoothness": -5.0}, "smoothness must be at least 0, or -1"),
+        (FinetuneConfig, {"colors": "field", "inside": 0.8, "beside": 0.3}, "inside and beside together at most 1"),
+        (FinetuneConfig, {"freeze_density": True, "density_factor": 0.3}, "no effect with --freeze-density"),
+    ],
+)
+def test_values_out_of_range_are_refused(config, options, words):
+    with pytest.raises(ValueError, match=words):
+        config(**options)
+
+
+def test_shares_that_are_one_but_for_rounding_are_taken():
+    for inside, beside in ((0.8, 0.2), (0.9, 0.1), (0.7, 0.3)):
+        FinetuneConfig(colors="field", inside=inside, beside=beside)
+    FinetuneConfig(inside=0.9)  # beside has no say while only the region's own colors learn
+
+
+@pytest.mark.parametrize(("path", "label"), [("été.json", "t"), ("相机.json", "path"), ("_cam.json", "cam"),
+                                             ("orbit", "orbit")])  # fmt: skip
+def test_what_frames_are_named_after_begins_a_valid_name(path, label):
+    assert label_of(path) == label
