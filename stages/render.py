@@ -142,6 +142,8 @@ def _check_field(
         raise BadInput(f"--deep: field {name} is a blend, whose samples have no colors of their own")
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {name} has no deformation; --displacement writes nothing")
+    if config.masks and not regions:
+        context.progress.say(f"no region was selected in the space of field {name}; --masks writes nothing")
 
 
 def _render_missing(

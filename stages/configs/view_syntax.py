@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+NUMBER = r"\d+(?:\.\d*)?|\.\d+"
+
 
 def pixel_of(text: str) -> tuple[str, float, float]:
     """Parse '0012:200,140' as ('0012', 200.0, 140.0); ValueError for anything else."""
@@ -22,7 +24,7 @@ def file_of(text: str) -> tuple[str, Path]:
 
 def depth_of(text: str) -> tuple[str, float, float]:
     """Parse '0012:1.5,2' as ('0012', 1.5, 2.0); ValueError for anything else."""
-    match = re.fullmatch(r"(.+):([0-9.]+),([0-9.]+)", text)
+    match = re.fullmatch(rf"(.+):({NUMBER}),({NUMBER})", text)
     if not match or float(match[2]) >= float(match[3]):
         raise ValueError(f"{text!r} is not a range of depths in a view, written VIEW:NEAR,FAR")
     return match[1], float(match[2]), float(match[3])

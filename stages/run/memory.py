@@ -81,7 +81,7 @@ MIN_LIMIT = 256 * 10**6  # bytes; the program alone takes more
 
 def bytes_of(text: str) -> int:
     """Parse '512M' as 512,000,000, '8G', '1.5G'; ValueError for anything else and for less than MIN_LIMIT."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([KMGT]?)B?", text.strip(), re.IGNORECASE)
+    match = re.fullmatch(r"(\d{1,18}(?:\.\d+)?)\s*([KMGT]?)B?", text.strip(), re.IGNORECASE)
     if not match:
         raise ValueError(f"{text!r} is not an amount of memory such as 512M or 8G")
     found = int(float(match[1]) * UNITS[match[2].upper()])

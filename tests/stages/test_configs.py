@@ -6,6 +6,7 @@ from stages.configs.edit import EditConfig, FinetuneConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import label_of
 from stages.configs.stylize import ArfConfig
+from stages.configs.view_syntax import depth_of
 
 
 @pytest.mark.parametrize(
@@ -29,6 +30,13 @@ def test_shares_that_are_one_but_for_rounding_are_taken():
     for inside, beside in ((0.8, 0.2), (0.9, 0.1), (0.7, 0.3)):
         FinetuneConfig(colors="field", inside=inside, beside=beside)
     FinetuneConfig(inside=0.9)  # beside has no say while only the region's own colors learn
+
+
+@pytest.mark.parametrize("text", ["a:1.2.3,4", "a:2,1", "a:.,1", "a:1,2,3 "])
+def test_what_is_no_range_of_depths_is_refused_in_words(text):
+    with pytest.raises(ValueError, match="is not a range of depths in a view"):
+        depth_of(text)
+    assert depth_of("a:.5,2.") == ("a", 0.5, 2.0)
 
 
 @pytest.mark.parametrize(("path", "label"), [("été.json", "t"), ("相机.json", "path"), ("_cam.json", "cam"),
