@@ -56,8 +56,9 @@ def written_report(table: Table) -> dict[str, Any]:
     known = [(run, axes[run.work, run.name]) for run in runs if (run.work, run.name) in axes]
     stylized = [(run, at) for run, at in known if run.family == STYLIZATIONS and at.method != EDIT]
     styles = _ranking(stylized, COLUMNS)
-    edits = _ranking([(run, replace(at, style="", method=at.style)) for run, at in known if at.method == EDIT],
-                     EDIT_COLUMNS)  # fmt: skip
+    edited = [(_of_any_seed(run, at.seed), replace(at, style="", method=at.style)) for run, at in known
+              if at.method == EDIT]  # fmt: skip
+    edits = _ranking(edited, EDIT_COLUMNS)
     fronts = fronts_of(styles.cells, styles.better)
     gaps = [*_fields_missing(table, known), *_values_missing(styles.cells, COLUMNS),
             *_values_missing(edits.cells, EDIT_COLUMNS)]  # fmt: skip
@@ -103,6 +104,12 @@ class Ranking:
     labels: dict[str, str]
 
 
+def _of_any_seed(run: Run, seed: int) -> Run:
+    """The run with protocols that name the field before the edit without its seed, so that they agree over seeds."""
+    metrics = {key: replace(one, protocol=one.protocol.replace(f"-s{seed}", "")) for key, one in run.metrics.items()}
+    return replace(run, metrics=metrics)
+
+
 def _ranking(placed: Sequence[tuple[Run, Axes]], columns: Sequence[str]) -> Ranking:
     runs = [run for run, _ in placed]
     cells = cells_of(placed, columns)
@@ -128,7 +135,7 @@ def _digits(column: str) -> int:
 
 def _shown(ranking: Ranking) -> dict[str, Any]:
     """What the page shows of a ranking: its columns and their heads, ranks by method, cells as "mean ± spread"."""
-    columns = [column for column in ranking.labels if any(column in cell.values for cell in ranking.cells)]
+    columns = [column for column in ranking.better if any(column in cell.values for cell in ranking.cells)]
     cells = [
         {
             "scene": cell.scene,

@@ -25,7 +25,8 @@ def test_edits_are_ranked_among_themselves_with_spread_over_seeds(tmp_path):
         base = runs.fit(work, scene, f"fit-s{seed}", 10.0, 25.0)
         for name, bleeding in (("red", 0.1), ("blue", 0.3)):
             metrics = {"change_lab": 9.0, "background_ratio": 1.0, "bleeding": bleeding + 0.02 * seed}
-            runs.edited(work, scene, base, f"edit-{name}-s{seed}", (1.0, 2.0, 3.0, 4.0), metrics)
+            edit = runs.edited(work, scene, base, f"edit-{name}-s{seed}", (1.0, 2.0, 3.0, 4.0), {})
+            runs.report(work, edit, metrics, {"regions": [edit.name]}, f"against field fit-s{seed}")
 
     written = written_report(read_table(table, build))
 
