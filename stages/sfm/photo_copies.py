@@ -115,7 +115,10 @@ def _pictures(copy: Copy) -> list[str]:
 
 def _lens(photo: str, size: tuple[int, int]) -> tuple[str, float]:
     """Return what identifies lens and zoom, and the focal length in pixels of the photo by EXIF, or 0."""
-    camera = pycolmap.infer_camera_from_image(photo)
+    try:
+        camera = pycolmap.infer_camera_from_image(photo)
+    except ValueError:  # COLMAP reads fewer formats than import: no WebP
+        return "unknown", 0.0
     if not camera.has_prior_focal_length:
         return "unknown", 0.0
     focal = float(camera.mean_focal_length())

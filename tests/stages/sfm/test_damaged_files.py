@@ -7,11 +7,13 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pycolmap
 import pytest
 
 from schemas.canonical_json import file_sha256
-from schemas.images import write_png
+from schemas.images import read_srgb, write_png
+from stages.readers.source import IMAGE_SUFFIXES
 from stages.run.progress import Context
 from stages.sfm import colmap_database, matching, photo_copies, reconstruction
 from stages.sfm.colmap_database import Rows
@@ -79,6 +81,20 @@ def test_a_damaged_copy_is_made_again(job, tmp_path, name, damage):
     untouched = (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns
     assert photo_copies.make_copies(job, Heard()) == first and digests(tmp_path) == whole
     assert (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns == untouched
+
+
+@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
+def test_photos_of_every_format_are_copied(tmp_path, suffix):
+    """Also of those that COLMAP itself cannot open."""
+    pixels = np.full((64, 96, 3), 0.5, np.float32)
+    pixels[:, :48] = 0.2
+    target = oiio.ImageOutput.create(f"x{suffix}")
+    photo = str(tmp_path / f"x{suffix}")
+    assert target.open(photo, oiio.ImageSpec(96, 64, 3, oiio.UINT8)) and target.write_image(pixels) and target.close()
+    [copy] = photo_copies.make_copies(Job(str(tmp_path), (photo,)), Heard())
+    assert (copy.full_size, copy.size, copy.focal, copy.unusable) == ((96, 64), (96, 64), 0.0, "")
+    made = read_srgb(tmp_path / "copies" / copy.file).pixels
+    np.testing.assert_allclose(made, read_srgb(photo).pixels, atol=0.05)  # JPEG
 
 
 @pytest.mark.parametrize("damage", [flipped, cut, Path.unlink])
