@@ -120,8 +120,8 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     """Read an image.
 
     8 and 16 bit values are divided by 255 and 65535. Gray with alpha becomes RGBA; of more channels, those named
-    R, G, B, A are read. Colors of a TIFF that are premultiplied (its alpha is "associated") are divided by alpha. An EXR
-    is cropped or zero-padded to its display window.
+    R, G, B, A are read. Premultiplied colors of a TIFF (its alpha is "associated") are divided by alpha. An EXR is
+    cropped or zero-padded to its display window.
 
     Args:
         path: The file, in any format that OpenImageIO reads.

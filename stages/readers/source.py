@@ -91,7 +91,7 @@ class SourceScene:
 
 
 _DYNAMIC = "dynamic_mask_"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr", ".hdr")
 
 
 def bare(path: Path) -> Path:

@@ -290,6 +290,13 @@ def test_a_dynamic_mask_counts_and_is_no_photo(posed):
     assert [photo.stem for photo in photos_of(posed)] == ["p00", "p01", "p02", "p03"]
 
 
+def test_radiance_pictures_are_photos(tmp_path):
+    for name in ("a.hdr", "b.HDR", "c.exr"):
+        (tmp_path / name).touch()
+    assert [photo.name for photo in photos_of(tmp_path)] == ["a.hdr", "b.HDR", "c.exr"]
+    assert find_image(tmp_path / "b") == tmp_path / "b.HDR"
+
+
 def test_a_list_of_poses_counts(posed):
     before = digest_of_source(posed)
     content = capture.transforms()
