@@ -239,10 +239,11 @@ def read_chan(path: Path, scene: SceneData, where: str) -> CameraFile:
     from scipy.spatial.transform import Rotation
 
     like, cameras = scene.cameras[0], []
-    lines = [line for line in read_text(path, MOST_CHAN).splitlines() if line.strip() and not line.startswith("#")]
+    numbered = enumerate(read_text(path, MOST_CHAN).splitlines(), start=1)
+    lines = [(number, line) for number, line in numbered if line.strip() and not line.startswith("#")]
     check_count(len(lines), where)
-    for index, line in enumerate(lines):
-        name = f"{where}: line {index + 1}"
+    for index, (number, line) in enumerate(lines):
+        name = f"{where}: line {number}"
         try:
             values = [float(word) for word in line.split()]
         except ValueError:
