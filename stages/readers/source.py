@@ -145,7 +145,11 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
 
 def _mask_of(image: Path, root: Path) -> Path | None:
     """Find the mask of images_2/a/1.jpg: in masks_2/a, masks/images_2/a, masks/a or masks, else a/1_mask.png."""
-    above = [part for part in Path(os.path.relpath(image.parent, root)).parts if part != ".."]
+    try:
+        inner = Path(os.path.relpath(image.parent, root))
+    except ValueError:  # on Windows, where the photo is on another drive
+        inner = image.parent.relative_to(image.parent.anchor)
+    above = [part for part in inner.parts if part != ".."]
     folders = [root.joinpath("masks", *above[start:]) for start in range(len(above) + 1)]
     for place, part in enumerate(above):
         if part.startswith("images_"):

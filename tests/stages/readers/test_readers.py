@@ -1,5 +1,6 @@
 """What readers make of posed sources: which photos they find, how those are turned, which masks belong to them."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from stages.evaluation.region_masks import resized_mask
 from stages.pipeline.prerequisites import import_config
 from stages.pose_import import digest_of_source
 from stages.readers.photo_folder import photos_of
-from stages.readers.source import find_image, natural
+from stages.readers.source import SourceCamera, find_image, natural, with_masks
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
@@ -208,6 +209,20 @@ def test_masks_lie_as_their_photos_do(source, tmp_path, mask, view):
     (source / "masks" / mask).parent.mkdir(exist_ok=True, parents=True)
     shutil.copy(tmp_path / "mask.png", source / "masks" / mask)
     assert cut_out(imported(source, tmp_path / "work")) == [view]
+
+
+def test_masks_of_photos_on_another_drive(tmp_path, monkeypatch):
+    """Windows knows no relative path from one drive to another."""
+
+    def relpath(path, start):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    photo = tmp_path / "photos" / "images" / "1.png"
+    write_mask(photo)
+    write_mask(tmp_path / "scan" / "masks" / "1.png")
+    monkeypatch.setattr(os.path, "relpath", relpath)
+    [camera] = with_masks([SourceCamera("1", "1.png", photo, np.eye(4))], tmp_path / "scan")
+    assert camera.mask == tmp_path / "scan" / "masks" / "1.png"
 
 
 def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_path):
