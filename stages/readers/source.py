@@ -1,5 +1,6 @@
 """What every reader of poses returns: the source's cameras, in our axes but in the source's frame."""
 
+import errno
 import math
 import os
 import unicodedata
@@ -99,6 +100,16 @@ def bare(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in IMAGE_SUFFIXES else path
 
 
+def is_file(path: Path) -> bool:
+    """Return path.is_file(), and False for a name too long for the file system, where that may be an OSError."""
+    try:
+        return path.is_file()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False
+
+
 def find_image(path: Path) -> Path | None:
     """Return the file at `path`, or the image of that name if the suffix is missing or of another case, or if accents
     are composed differently; None if there is none."""
@@ -109,13 +120,13 @@ def find_image(path: Path) -> Path | None:
 def _spelled_so(path: Path) -> Path | None:
     if path.suffix.lower() in IMAGE_SUFFIXES:
         for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
-            if (candidate := path.with_suffix(suffix)).is_file():
+            if is_file(candidate := path.with_suffix(suffix)):
                 return candidate
     for suffix in IMAGE_SUFFIXES:
         for candidate in (Path(f"{path}{suffix}"), Path(f"{path}{suffix.upper()}")):
-            if candidate.is_file():
+            if is_file(candidate):
                 return candidate
-    return path if path.is_file() else None
+    return path if is_file(path) else None
 
 
 def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
@@ -130,7 +141,7 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
     for one in cameras:
         if one.image:
             hides = one.image.parent / f"{_DYNAMIC}{one.image.stem}.png"
-            one = replace(one, hides=hides) if hides.is_file() else one
+            one = replace(one, hides=hides) if is_file(hides) else one
         if one.image and not one.mask and (mask := _mask_of(one.image, root)):
             other = photos.setdefault(mask, one.image)
             if os.path.normpath(other.parent) != os.path.normpath(one.image.parent):
@@ -156,7 +167,7 @@ def _mask_of(image: Path, root: Path) -> Path | None:
             folders.insert(0, root.joinpath(masks_beside(part), *above[place + 1 :]))
     beside = image.parent / f"{image.stem}_mask.png"
     there = (_mask_in(folder, image) for folder in folders if folder.is_dir())
-    return next(filter(None, there), beside if beside.is_file() else None)
+    return next(filter(None, there), beside if is_file(beside) else None)
 
 
 def _mask_in(folder: Path, image: Path) -> Path | None:
