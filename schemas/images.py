@@ -1,7 +1,6 @@
 """Image files: read completely or refused, with colors as stored or in sRGB; PNGs written atomically."""
 
 import errno
-import os
 import re
 import threading
 import zlib
@@ -17,6 +16,7 @@ import OpenImageIO as oiio
 from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
 from schemas.native_output import native_output_silenced
+from schemas.safe_names import check_utf8
 from schemas.safe_reading import allowance, check_allowance, opened
 
 # Uncompressed. A header that claims more is damaged or hostile.
@@ -76,8 +76,7 @@ def _open(path: Path) -> "oiio.ImageInput":
             head = stream.read(16)
     except FileNotFoundError:
         raise BadInput(f"{path}: no such image file") from None
-    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # codecs take UTF-8 only
-        raise BadInput(f"{name}: its name is not UTF-8; rename it")
+    check_utf8(path)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come premultiplied and rounded to 8 bits
     _error_of(oiio)  # clear the error of an earlier file

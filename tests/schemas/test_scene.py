@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 
 from schemas.errors import ArtifactDamaged, BadInput
-from schemas.scene import Bounds, Lens, LensDistortion, Scene, Skipped, Truth, View, as_matrix, read_scene, validate_scene, write_scene
+from schemas.scene import (
+    Bounds,
+    Lens,
+    LensDistortion,
+    Scene,
+    Skipped,
+    Truth,
+    View,
+    as_matrix,
+    read_scene,
+    validate_scene,
+    write_scene,
+)
 
 EYE = as_matrix(np.eye(4))
 

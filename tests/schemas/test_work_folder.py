@@ -272,7 +272,7 @@ def test_what_no_run_wrote_is_found_in_any_locale(tmp_path, monkeypatch):
     partial.commit()
     (tmp_path / "frames" / "fox" / "notes.txt").write_text("mine")
     read_text = Path.read_text
-    monkeypatch.setattr(Path, "read_text", lambda path, encoding="ascii", errors=None: read_text(path, encoding, errors))
+    monkeypatch.setattr(Path, "read_text", lambda path, encoding="ascii", errors=None: read_text(path, encoding))
     with pytest.raises(WouldBeLost, match=r"notes\.txt"):
         work.begin("frames", "fox", recipe(seed=1))
 
