@@ -1,9 +1,13 @@
 """Structure from motion goes on from what an interrupted run left: what is damaged there is made again."""
 
+import io
 import json
 import shutil
 import sqlite3
+import threading
+import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +15,15 @@ import OpenImageIO as oiio
 import pycolmap
 import pytest
 
+from schemas import safe_reading
 from schemas.canonical_json import file_sha256
+from schemas.errors import BadInput
 from schemas.images import read_srgb, write_png
 from stages.readers.source import IMAGE_SUFFIXES
 from stages.run.progress import Context
-from stages.sfm import colmap_database, matching, photo_copies, reconstruction
+from stages.sfm import child, colmap_database, matching, photo_copies, reconstruction
 from stages.sfm.colmap_database import Rows
-from stages.sfm.job import Job
+from stages.sfm.job import Job, JobProgress
 from tests.stages.importing import Said
 from tests.stages.photo_room import walk, write_photos
 
@@ -81,6 +87,41 @@ def test_a_damaged_copy_is_made_again(job, tmp_path, name, damage):
     untouched = (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns
     assert photo_copies.make_copies(job, Heard()) == first and digests(tmp_path) == whole
     assert (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns == untouched
+
+
+@pytest.mark.parametrize(("fit", "threads", "most"), [(2, 4, 2), (0, 4, 1), (9, 2, 2)])
+def test_as_many_photos_are_copied_at_once_as_memory_and_threads_allow(job, monkeypatch, fit, threads, most):
+    reading, seen, lock = [], [], threading.Lock()
+
+    def read(path):
+        with lock:
+            reading.append(path)
+            seen.append(len(reading))
+        time.sleep(0.1)
+        with lock:
+            reading.remove(path)
+        return read_srgb(path)
+
+    monkeypatch.setattr(photo_copies, "read_srgb", read)
+    allowed = fit * photo_copies.BYTES_PER_PIXEL * 120 * 90
+    photo_copies.make_copies(replace(job, threads=threads, allowance=allowed), Heard())
+    assert max(seen) == most
+
+
+def test_the_memory_of_the_parent_bounds_the_child(job, tmp_path, monkeypatch):
+    jobs = []
+    monkeypatch.setattr(reconstruction, "run_child", lambda path, context: jobs.append(Job.read(path)))
+    monkeypatch.setattr(reconstruction, "_result", lambda folder: {})
+    monkeypatch.setattr(reconstruction, "_scene", lambda *args: None)
+    monkeypatch.setattr(photo_copies, "make_copies", lambda job, progress: photo_copies.usable([], 3))
+    monkeypatch.setattr(safe_reading, "_find", lambda: 1 << 30)
+    photos = [Path(photo) for photo in job.photos]
+    options = {"matching": "auto", "side": 800, "features": 100, "shared": True}
+    reconstruction.reconstructed(photos, photos[0].parent, tmp_path, Context(), **options)
+    assert jobs[0].allowance == 1 << 30
+    with pytest.raises(BadInput, match="can be used"):
+        child.run(replace(jobs[0], allowance=1 << 29), JobProgress(io.StringIO()))
+    assert safe_reading.allowance() == 1 << 29
 
 
 @pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
