@@ -1,7 +1,6 @@
 """Image files: read completely or refused, with colors as stored or in sRGB; PNGs written atomically."""
 
 import errno
-import os
 import re
 import threading
 import zlib
@@ -17,6 +16,7 @@ import OpenImageIO as oiio
 from schemas.atomic_write import refusal_of_disk, replacing
 from schemas.errors import BadInput
 from schemas.native_output import native_output_silenced
+from schemas.safe_names import check_utf8
 from schemas.safe_reading import allowance, check_allowance, opened
 
 # Uncompressed. A header that claims more is damaged or hostile.
@@ -24,6 +24,7 @@ LARGEST_IMAGE_MB = 2048
 SLOW_IMAGE_MB = 192  # JPEG 2000 and JPEG XL: a file of 2 kB can take minutes to decode
 BAND_BYTES = 4 << 20
 _LIGHT = ("openexr", "hdr")
+_ASSOCIATED = ("tiff",)  # code values that may be premultiplied; the header says so
 _SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
 _SEVERAL = 4  # decoded bytes for each stored byte, at most
 _DECODED_BY_ROWS = (b"v/1\x01", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"#?", b"\x89PNG", b"\xff\xd8\xff")
@@ -75,8 +76,7 @@ def _open(path: Path) -> "oiio.ImageInput":
             head = stream.read(16)
     except FileNotFoundError:
         raise BadInput(f"{path}: no such image file") from None
-    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):  # codecs take UTF-8 only
-        raise BadInput(f"{name}: its name is not UTF-8; rename it")
+    check_utf8(path)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come premultiplied and rounded to 8 bits
     _error_of(oiio)  # clear the error of an earlier file
@@ -119,7 +119,8 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     """Read an image.
 
     8 and 16 bit values are divided by 255 and 65535. Gray with alpha becomes RGBA; of more channels, those named
-    R, G, B, A are read. An EXR is cropped or zero-padded to its display window.
+    R, G, B, A are read. Premultiplied colors of a TIFF (its alpha is "associated") are divided by alpha. An EXR is
+    cropped or zero-padded to its display window.
 
     Args:
         path: The file, in any format that OpenImageIO reads.
@@ -134,6 +135,8 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
     with _opened(path) as source:
         spec, form = source.spec(), source.format_name()
         pixels = _decoded(source, path)
+        if form in _ASSOCIATED and spec.alpha_channel >= 0 and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0):
+            _divide_by_alpha(pixels)
     if form == "openexr":
         pixels = _displayed(pixels, spec, path)
     if upright:
@@ -167,6 +170,15 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
         if str(spec.format) == "double" and not np.isfinite(pixels[top:end]).all():
             raise BadInput(f"{path} holds values that overflow 32-bit floats; replace or remove it")
     return pixels
+
+
+def _divide_by_alpha(pixels: np.ndarray) -> None:
+    """Make premultiplied code values [h, w, 4] straight, 0..1, in place; 0 where alpha is 0."""
+    for row in pixels:
+        color, alpha = row[:, :3], row[:, 3:]
+        np.divide(color, alpha, out=color, where=alpha > 0)
+        color *= alpha > 0
+        np.clip(color, 0, 1, out=color)
 
 
 def _rows_of_a_band(spec: "oiio.ImageSpec") -> int:

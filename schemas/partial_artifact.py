@@ -305,7 +305,7 @@ def _listed_in(folder: Path) -> set[str] | None:
     if not (folder / MANIFEST).is_file():
         return set()
     try:
-        return {record["path"] for record in json.loads((folder / MANIFEST).read_text())["files"]}
+        return {record["path"] for record in json.loads((folder / MANIFEST).read_bytes())["files"]}
     except (OSError, ValueError, RecursionError, KeyError, TypeError):
         return None
 

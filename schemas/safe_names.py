@@ -3,9 +3,10 @@
 import os
 import re
 import unicodedata
+from pathlib import Path
 from typing import Any
 
-from schemas.errors import ArtifactDamaged, StylerfError
+from schemas.errors import ArtifactDamaged, BadInput, StylerfError
 
 LONGEST_NAME = 255  # bytes, what common file systems take
 LONGEST_PATH = 1024  # bytes
@@ -57,6 +58,12 @@ def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamag
     if "/" in name:
         raise fault(f"{what} is {printable(name)!r}, expected a name without '/'")
     return name
+
+
+def check_utf8(path: Path | str) -> None:
+    """Raise BadInput for a path that is not UTF-8: codecs and manifests take no other."""
+    if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):
+        raise BadInput(f"{printable(name)}: its name is not UTF-8; rename it")
 
 
 def printable(text: str) -> str:

@@ -40,6 +40,7 @@ def check_allowance(path: Path, width: int, height: int, takes: int) -> None:
 
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
 DEEPEST = 100  # levels of objects and lists
+_MORE = 1 << 20  # bytes read at once of a file that grows, or whose file system tells no size (/proc)
 
 
 @contextmanager
@@ -80,7 +81,9 @@ def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInpu
     with opened(path, fault) as stream:
         if (size := os.fstat(stream.fileno()).st_size) > limit:
             raise fault(f"{shown} has {size / 1e6:.0f} MB; at most {limit / 1e6:.0f} MB can be read")
-        data = stream.read(limit + 1)
+        data = stream.read(size + 1)  # not limit + 1, which Python would allocate at once
+        while size < len(data) <= limit and (more := stream.read(min(_MORE, limit + 1 - len(data)))):
+            data += more
     if len(data) > limit:
         raise fault(f"{shown} grew beyond {limit / 1e6:.0f} MB while it was read")
     return data

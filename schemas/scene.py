@@ -6,7 +6,7 @@ Camera axes are OpenCV's (x right, y down, z forward); pixel (i, j) has its cent
 import math
 import re
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ SPLITS = ("train", "test")
 OTHER_LENSES = ("fov", "division", "eucm", "thin_prism_fisheye", "rad_tan_thin_prism_fisheye")
 LENS_KINDS = ("brown", "fisheye", *OTHER_LENSES)
 MOST_COEFFICIENTS = 12
-LARGEST_COEFFICIENT = 1e6
+LARGEST_COEFFICIENT = 1e12  # k3 of a lens of 20 picture widths is beyond 1e6
 LARGEST_PHOTO_SIDE = 1 << 20  # pixels; photos may be larger than the pictures that are made of them
 _NUMBER_IN_PATTERN = re.compile(r"0+(?=\.[^./]*$)")
 
@@ -216,6 +216,10 @@ def _validate_view(view: View) -> None:
         raise BadInput(f"{where}: the upper left 3x3 of its pose is not a rotation")
     if not np.allclose(pose[3], [0, 0, 0, 1]):
         raise BadInput(f"{where}: the last row of its pose is {pose[3].tolist()}, expected 0 0 0 1")
+    try:
+        lens_of(view.lens and asdict(view.lens), f"{where}: lens")
+    except (ValueError, TypeError, KeyError) as error:
+        raise BadInput(str(error)) from error
 
 
 def _one_of(value: str, allowed: tuple[str, ...], what: str) -> None:

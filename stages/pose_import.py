@@ -11,7 +11,7 @@ from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.exr import FAR_Z, ExrView, read_depth, write_exr
 from schemas.images import to_uint8, write_png
-from schemas.safe_names import printable
+from schemas.safe_names import check_utf8, printable
 from schemas.safe_reading import allowance
 from schemas.scene import POINTS_FILE, Bounds, Lens, LensDistortion, Scene, Skipped, Truth, View, as_matrix, write_scene
 from schemas.tensors import save_tensors
@@ -134,8 +134,10 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
 
 
 def video_of(source: Path) -> list[Path]:
-    """List the clips at `source`; BadInput if there are none."""
+    """List the clips at `source`; BadInput if there are none, or the name of one is not UTF-8."""
     if clips := clips_of(source):
+        for clip in clips:
+            check_utf8(clip)
         return clips
     raise BadInput(f"{source} holds no video ({', '.join(VIDEOS)}); give a clip or a folder of clips")
 
@@ -188,9 +190,9 @@ def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArti
         bounds=bounds,
         background=background.kind,
         scene_from_source=as_matrix(frame.scene_from_source),
-        skipped=tuple(Skipped(one.source, "no such image file") for one in missing)
-        + tuple(Skipped(one.source, "listed twice") for one in doubled)
-        + tuple(Skipped(*one) for one in source.skipped),
+        skipped=tuple(Skipped(printable(one.source), "no such image file") for one in missing)
+        + tuple(Skipped(printable(one.source), "listed twice") for one in doubled)
+        + tuple(Skipped(printable(name), reason) for name, reason in source.skipped),
         truth=Truth("truth/depth_000.exr" if depths else None),
         sfm=source.sfm,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from schemas.canonical_json import digest_of, file_sha256
 from schemas.errors import BadInput
 from schemas.json_numbers import LARGEST_PICTURE, LARGEST_SIDE
-from schemas.safe_names import printable
+from schemas.safe_names import check_utf8, printable
 from schemas.safe_reading import read_json, read_text
 from stages.artifacts.placed_cameras import CameraFile, check_count, checked, in_scene
 from stages.artifacts.scene import SceneData
@@ -31,7 +31,11 @@ MOST_CHAN = 64 << 20  # bytes
 
 
 def digest_of_cameras(path: Path) -> str:
-    """Return the digest of the file, or a model's files, and of the one with nerfstudio's frame, if there is one."""
+    """Return the digest of the file, or a model's files, and of the one with nerfstudio's frame, if there is one.
+
+    BadInput if the path is not UTF-8.
+    """
+    check_utf8(path)
     if path.is_dir():
         files = [one for folder in model_folders(path) for one in files_of(folder)]
         return digest_of([[one.name, file_sha256(one)] for one in files])
@@ -239,10 +243,11 @@ def read_chan(path: Path, scene: SceneData, where: str) -> CameraFile:
     from scipy.spatial.transform import Rotation
 
     like, cameras = scene.cameras[0], []
-    lines = [line for line in read_text(path, MOST_CHAN).splitlines() if line.strip() and not line.startswith("#")]
+    numbered = enumerate(read_text(path, MOST_CHAN).splitlines(), start=1)
+    lines = [(place, line) for place, line in numbered if line.strip() and not line.startswith("#")]
     check_count(len(lines), where)
-    for index, line in enumerate(lines):
-        name = f"{where}: line {index + 1}"
+    for index, (place, line) in enumerate(lines):
+        name = f"{where}: line {place}"
         try:
             values = [float(word) for word in line.split()]
         except ValueError:

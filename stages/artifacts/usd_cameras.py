@@ -51,11 +51,14 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
         stage = Usd.Stage.Open(layer)
         prim, size = _camera_of(stage, where)
         up = str(UsdGeom.GetStageUpAxis(stage)).lower()
-        times = _times(stage, prim)
+        if up not in ("y", "z"):
+            raise BadInput(f"{where} has {printable(up.upper())[:40]} as its up axis, expected Y or Z")
+        times = _times(stage, prim, where)
         check_count(len(times), where)
         cameras = [_camera(prim, time, index, size, scene, up, where) for index, time in enumerate(times)]
     except Tf.ErrorException as error:
-        raise BadInput(f"{where} is no sound USD file ({printable(str(error).splitlines()[-1])[:120]})") from error
+        reasons = [one.commentary for one in error.args] or [str(error)]
+        raise BadInput(f"{where} is no sound USD file ({printable(' '.join(reasons[0].split()))[:200]})") from error
     unit, remarks = UsdGeom.GetStageMetersPerUnit(stage), []
     if not math.isclose(unit, 1.0):
         remarks.append(f"{path.name} has units of {unit:g} m; its coordinates are taken as those of the scene's source")
@@ -64,18 +67,23 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
 
 def _camera_of(stage: Any, where: str) -> tuple[Any, tuple[int, int, float] | None]:
     """Return the camera, and width, height and pixel aspect of its pictures if they are known."""
-    from pxr import UsdGeom, UsdRender
+    from pxr import Usd, UsdGeom, UsdRender
 
     found = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
     sizes: dict[str, tuple[int, int, float]] = {}
     for prim in stage.Traverse():
         settings = UsdRender.Settings(prim)
         if settings and (targets := settings.GetCameraRel().GetTargets()):
-            width, height = settings.GetResolutionAttr().Get()
-            aspect = float(settings.GetPixelAspectRatioAttr().Get())
+            resolution = settings.GetResolutionAttr().Get()
+            try:
+                width, height = map(int, resolution)
+            except (TypeError, ValueError, OverflowError) as error:
+                shown = printable(str(resolution))[:40]
+                raise BadInput(f"{where}: its render settings' resolution is {shown}, expected two numbers") from error
+            aspect = _number(settings.GetPixelAspectRatioAttr(), Usd.TimeCode.Default(), f"{where}: render settings")
             if not (1 <= min(width, height) and max(width, height) <= MOST_SIDE and 0.01 < aspect < 100):
                 raise BadInput(f"{where}: its render settings ask for {width}x{height} pixels of aspect {aspect:g}")
-            sizes.setdefault(str(targets[0]), (int(width), int(height), aspect))
+            sizes.setdefault(str(targets[0]), (width, height, aspect))
     chosen = found if len(found) == 1 else [prim for prim in found if str(prim.GetPath()) in sizes]
     if len(chosen) != 1:
         names = ", ".join(printable(str(prim.GetPath())) for prim in found[:5])
@@ -86,7 +94,15 @@ def _camera_of(stage: Any, where: str) -> tuple[Any, tuple[int, int, float] | No
     return chosen[0], sizes.get(str(chosen[0].GetPath()))
 
 
-def _times(stage: Any, prim: Any) -> list[Any]:
+def _number(attribute: Any, time: Any, where: str) -> float:
+    """Return the value of an attribute at a time; BadInput if it is no number."""
+    value = attribute.Get(time)
+    if not isinstance(value, int | float):
+        raise BadInput(f"{where}: {attribute.GetName()} is {printable(str(value))[:40]}, expected a number")
+    return float(value)
+
+
+def _times(stage: Any, prim: Any, where: str) -> list[Any]:
     """Return whole time codes from the first to the last sample of the camera or what it hangs on; else the default."""
     from pxr import Usd, UsdGeom
 
@@ -104,8 +120,8 @@ def _times(stage: Any, prim: Any) -> list[Any]:
     if stage.HasAuthoredTimeCodeRange():
         first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(first) and math.isfinite(last) and last >= first):
-        raise BadInput(f"time codes from {first:g} to {last:g} are no range of frames")
-    check_count(int(min(last - first, 1e9)) + 1, "a USD camera")
+        raise BadInput(f"{where}: time codes from {first:g} to {last:g} are no range of frames")
+    check_count(int(min(last - first, 1e9)) + 1, where)
     return [Usd.TimeCode(first + index) for index in range(int(last - first) + 1)]
 
 
@@ -115,13 +131,13 @@ def _camera(
     from pxr import UsdGeom
 
     camera, name = UsdGeom.Camera(prim), f"{where}: frame {index}"
-    if camera.GetProjectionAttr().Get(time) != UsdGeom.Tokens.perspective:
-        raise BadInput(f"{name}: its projection is {camera.GetProjectionAttr().Get(time)}, expected perspective")
+    if (projection := camera.GetProjectionAttr().Get(time)) != UsdGeom.Tokens.perspective:
+        raise BadInput(f"{name}: its projection is {printable(str(projection))[:40]}, expected perspective")
     attributes = (
         camera.GetFocalLengthAttr(), camera.GetHorizontalApertureAttr(), camera.GetVerticalApertureAttr(),
         camera.GetHorizontalApertureOffsetAttr(), camera.GetVerticalApertureOffsetAttr(),
     )  # fmt: skip
-    focal, across, upward, right, above = (float(one.Get(time)) for one in attributes)
+    focal, across, upward, right, above = (_number(one, time, name) for one in attributes)
     if not (min(focal, across, upward) > 0 and all(map(math.isfinite, (focal, across, upward, right, above)))):
         raise BadInput(f"{name}: its focal length {focal:g} or apertures {across:g} x {upward:g} are not positive")
     if size is None:

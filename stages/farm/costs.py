@@ -66,7 +66,7 @@ class Costs:
 
 def shipped_costs() -> Costs:
     """Return the costs that were measured for this version."""
-    content = json.loads(files("stages.farm").joinpath("costs.json").read_text())
+    content = json.loads(files("stages.farm").joinpath("costs.json").read_bytes())
     rates = {rule: Rate(**rate) for rule, rate in content["rules"].items()}
     return Costs(content["start_seconds"], rates, content["from"])
 

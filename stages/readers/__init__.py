@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from schemas.errors import BadInput
-from schemas.safe_names import printable
+from schemas.safe_names import check_utf8, printable
 from stages.configs.pose_import import FORMATS
 from stages.readers.source import SourceScene
 
@@ -27,10 +27,11 @@ def found_in(source: Path, format: str = "auto") -> Found:
     and splats or video if there are no photos either.
 
     Raises:
-        BadInput: `source` does not exist, or its only poses are of an unsupported format.
+        BadInput: `source` does not exist, its path is not UTF-8, or its only poses are of an unsupported format.
     """
     if not source.exists():
         raise BadInput(f"{source} does not exist; give a folder of photos")
+    check_utf8(source)
     if format != "auto":
         return Found(format)
     from stages.readers.unsupported import foreign_poses

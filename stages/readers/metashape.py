@@ -157,7 +157,7 @@ def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, floa
         raise BadInput(f"{where}: its sensor is of type {printable(kind)}, expected frame or fisheye")
     resolution = one.find("resolution") if one.find("resolution") is not None else sensor.find("resolution")
     sides = [resolution.get(name, "") if resolution is not None else "" for name in ("width", "height")]
-    if not all(side.isdecimal() and 0 < int(side) < 1_000_000 for side in sides):
+    if not all(side.isdecimal() and len(side) < 8 and 0 < int(side) < 1_000_000 for side in sides):
         raise BadInput(f"{where}: its sensor has no resolution; {EXPORT}")
     width, height = map(int, sides)
     if one.find("f") is None:

@@ -110,10 +110,14 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
 
 
 def _points(part: dict, where: str) -> SourcePoints | None:
-    entries = list(object_of(part, "points", where).values()) if part.get("points") else []
+    if not part.get("points"):
+        return None
+    entries = list(object_of(part, "points", where).values())
     try:
-        xyz = np.array([one["coordinates"] for one in entries], dtype=np.float64).reshape(-1, 3)
-        rgb = np.array([one.get("color", (128,) * 3) for one in entries], dtype=np.float64).reshape(-1, 3)
+        xyz = np.array([one["coordinates"] for one in entries], dtype=np.float64)
+        rgb = np.array([one.get("color", (128,) * 3) for one in entries], dtype=np.float64)
+        if not xyz.shape == rgb.shape == (len(entries), 3):
+            raise ValueError("not three numbers")
     except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
         raise BadInput(f"{where}: a point has no coordinates or no color of three numbers") from error
     kept = np.isfinite(np.hstack([xyz, rgb])).all(axis=1)

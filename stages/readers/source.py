@@ -1,5 +1,6 @@
 """What every reader of poses returns: the source's cameras, in our axes but in the source's frame."""
 
+import errno
 import math
 import os
 import unicodedata
@@ -91,12 +92,22 @@ class SourceScene:
 
 
 _DYNAMIC = "dynamic_mask_"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".jp2", ".exr", ".hdr")
 
 
 def bare(path: Path) -> Path:
     """Return the path without the suffix of an image; frame.0001 keeps its number."""
     return path.with_suffix("") if path.suffix.lower() in IMAGE_SUFFIXES else path
+
+
+def is_file(path: Path) -> bool:
+    """Return path.is_file(), and False for a name too long for the file system, where that may be an OSError."""
+    try:
+        return path.is_file()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False
 
 
 def find_image(path: Path) -> Path | None:
@@ -109,13 +120,13 @@ def find_image(path: Path) -> Path | None:
 def _spelled_so(path: Path) -> Path | None:
     if path.suffix.lower() in IMAGE_SUFFIXES:
         for suffix in (path.suffix, path.suffix.lower(), path.suffix.upper()):
-            if (candidate := path.with_suffix(suffix)).is_file():
+            if is_file(candidate := path.with_suffix(suffix)):
                 return candidate
     for suffix in IMAGE_SUFFIXES:
         for candidate in (Path(f"{path}{suffix}"), Path(f"{path}{suffix.upper()}")):
-            if candidate.is_file():
+            if is_file(candidate):
                 return candidate
-    return path if path.is_file() else None
+    return path if is_file(path) else None
 
 
 def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
@@ -130,7 +141,7 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
     for one in cameras:
         if one.image:
             hides = one.image.parent / f"{_DYNAMIC}{one.image.stem}.png"
-            one = replace(one, hides=hides) if hides.is_file() else one
+            one = replace(one, hides=hides) if is_file(hides) else one
         if one.image and not one.mask and (mask := _mask_of(one.image, root)):
             other = photos.setdefault(mask, one.image)
             if os.path.normpath(other.parent) != os.path.normpath(one.image.parent):
@@ -145,14 +156,18 @@ def with_masks(cameras: list[SourceCamera], root: Path) -> list[SourceCamera]:
 
 def _mask_of(image: Path, root: Path) -> Path | None:
     """Find the mask of images_2/a/1.jpg: in masks_2/a, masks/images_2/a, masks/a or masks, else a/1_mask.png."""
-    above = [part for part in Path(os.path.relpath(image.parent, root)).parts if part != ".."]
+    try:
+        inner = Path(os.path.relpath(image.parent, root))
+    except ValueError:  # on Windows, where the photo is on another drive
+        inner = image.parent.relative_to(image.parent.anchor)
+    above = [part for part in inner.parts if part != ".."]
     folders = [root.joinpath("masks", *above[start:]) for start in range(len(above) + 1)]
     for place, part in enumerate(above):
         if part.startswith("images_"):
             folders.insert(0, root.joinpath(masks_beside(part), *above[place + 1 :]))
     beside = image.parent / f"{image.stem}_mask.png"
     there = (_mask_in(folder, image) for folder in folders if folder.is_dir())
-    return next(filter(None, there), beside if beside.is_file() else None)
+    return next(filter(None, there), beside if is_file(beside) else None)
 
 
 def _mask_in(folder: Path, image: Path) -> Path | None:

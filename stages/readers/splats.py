@@ -13,7 +13,7 @@ import numpy as np
 from schemas.errors import BadInput, OutOfResources
 from schemas.images import image_size, to_uint8, write_png
 from schemas.journal import Journal
-from schemas.safe_names import printable
+from schemas.safe_names import check_utf8, printable
 from schemas.safe_reading import allowance, read_json
 from schemas.splat_ply import is_splat_ply, read_splat_ply
 from stages.readers.checked_values import entry_of, number, row, size
@@ -71,6 +71,7 @@ def files_of(source: Path, cameras: str) -> SplatFiles:
         given = Path(cameras)
         if not given.exists():
             raise BadInput(f"--cameras {cameras}: no such file or folder")
+        check_utf8(given)
         return SplatFiles(splats, given)
     above = [source] if source.is_dir() else [splats.parent, *splats.parents[1:3]]
     for folder in above:
@@ -162,7 +163,9 @@ def _listed(path: Path) -> list[SourceCamera]:
         pose[:3, 3] = row(entry_of(entry, "position", where), 3, f"{where}: its position")
         width, height = size(entry, where)
         fx, fy = number(entry, "fx", where), number(entry, "fy", where)
-        unique = name if name and name not in cameras else f"{name}-{place:05d}"
+        unique = name
+        while not unique or unique in cameras:
+            unique = f"{unique}-{place:05d}"
         cameras[unique] = SourceCamera(
             unique, unique, None, pose, (width, height), (fx, fy, width / 2, height / 2)
         )  # fmt: skip

@@ -19,6 +19,7 @@ from stages.readers.source import (
     bare,
     find_image,
     image_folder,
+    is_file,
     masks_beside,
     natural,
     with_masks,
@@ -250,7 +251,7 @@ class _Frames:
             if not Path(os.path.abspath(found)).is_relative_to(os.path.abspath(self.root)):
                 self._say(f"{self.name}: pictures from outside of its folder are used: {printable(str(listed))}")
             for companion in (f"{found.stem}.alpha{found.suffix}", f"{found.name}.alpha{found.suffix}"):
-                if (found.parent / companion).is_file():
+                if is_file(found.parent / companion):
                     self._say(f"{self.name}: not used: alpha of its own beside photos, as {printable(companion)}")
             return found
         if not (listed.is_absolute() or PureWindowsPath(listed).drive):
@@ -333,7 +334,7 @@ def _depth(root: Path, name: str) -> Path | None:
     """Return the file of true depth of the view, if it exists."""
     path = PurePosixPath(name)
     found = root / "truth" / path.parent / f"depth_{path.name}.exr"
-    return found if found.is_file() else None
+    return found if is_file(found) else None
 
 
 def _copy_in(folder: Path, listed: Path) -> Path | None:

@@ -64,12 +64,13 @@ class Numbers:
 def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
     """(fx, fy, cx, cy) in pixels and the horizontal and vertical angles in radians, NaN if missing.
 
-    A frame's own focal lengths come before the file's. Of one place, fl_x comes before x_fov (degrees) before
-    camera_angle_x (radians). BadInput if both axes are missing.
+    A frame with a focal length of its own, of either axis, takes none from the file. Of one place, fl_x comes before
+    x_fov (degrees) before camera_angle_x (radians). BadInput if both axes are missing.
     """
+    keys = _keys("x") | _keys("y")
+    level = next((one for one in (numbers.frame, numbers.content) if keys & one.keys()), {})
     focals, angles = [], []
     for axis in "xy":
-        level = next((one for one in (numbers.frame, numbers.content) if _keys(axis) & one.keys()), {})
         focals.append(_focal(numbers, level, f"fl_{axis}"))
         degrees = _focal(numbers, level, f"{axis}_fov")
         angles.append(_focal(numbers, level, f"camera_angle_{axis}") if math.isnan(degrees) else math.radians(degrees))

@@ -22,6 +22,7 @@ VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
 LEAST_MOTION = 0.05
 MEASURED = 30  # frames for each that is chosen, about: neighbors of a long clip differ little
 CHOICE = "choice.json"
+LONGEST_STEM = 80  # bytes of a clip's name in those of its frames: file systems take 255
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +120,9 @@ def _written(
 def _name(path: Path, clip: int, digits: int, clips: int, time: float) -> str:
     """The clip's name and the frame's time; clips are numbered where there are several, as two may have one stem."""
     lead = f"{clip:0{digits}d}-" if clips > 1 else ""
+    stem = printable(path.stem).encode()[:LONGEST_STEM].decode("utf-8", "ignore")
     # Microseconds: no two frames of a clip have one time.
-    return f"{lead}{printable(path.stem)[:80]}-{time:012.6f}s.png"
+    return f"{lead}{stem}-{time:012.6f}s.png"
 
 
 def _until(path: Path, last: int) -> Iterator[VideoFrame]:

@@ -54,7 +54,7 @@ class Clock:
 
     def _earlier(self) -> dict[str, float]:
         try:
-            stored = json.loads(self._file.read_text())
+            stored = json.loads(self._file.read_bytes())
             return {"runs": int(stored["runs"])} | {k: float(stored[k]) for k in ("seconds", "peak_memory_mb")}
         except (OSError, ValueError, KeyError, TypeError):
             return {"seconds": 0.0, "peak_memory_mb": 0.0, "runs": 1}

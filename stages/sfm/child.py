@@ -14,6 +14,7 @@ from pathlib import Path
 
 from schemas.atomic_write import sync_file, write_json
 from schemas.errors import BadInput, StylerfError
+from schemas.safe_reading import set_allowance
 from stages.sfm.job import MODEL, RESULT, Job, JobProgress, journal_of
 
 
@@ -44,6 +45,7 @@ def run(job: Job, progress: JobProgress) -> None:
     from stages.sfm import colmap_database, mapping, matching, photo_copies, quality, silhouettes
 
     progress.started()
+    set_allowance(lambda: job.allowance)
     pycolmap.logging.minloglevel = 1
     pycolmap.set_random_seed(job.seed)
     folder = Path(job.folder)

@@ -28,6 +28,7 @@ class Job:
         seed: Seed of every RANSAC.
         threads: For features, and processes for matches; the mapper uses one thread, to be reproducible.
         clips: For frames of video the number of each one's clip; () for photos.
+        allowance: Bytes of memory that decoding photos may take.
     """
 
     folder: str
@@ -40,6 +41,7 @@ class Job:
     seed: int = 0
     threads: int = 2
     clips: tuple[int, ...] = ()
+    allowance: int = 4 << 30
 
     def write(self, path: Path) -> None:
         """Write the job to `path` as JSON, atomically."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from schemas.atomic_write import refusal_of_disk
 from schemas.errors import BadInput, OutOfResources
+from schemas.safe_reading import allowance
 from stages.readers.colmap import scene_of
 from stages.readers.colmap_model import read_model
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, with_masks
@@ -62,7 +63,9 @@ def reconstructed(
     folder.mkdir(parents=True, exist_ok=True)
     paths = tuple(str(photo) for photo in photos)
     masks = _masks(photos, root, context)
-    job = Job(str(folder), paths, masks, side, features, method, shared, context.seed, context.threads, clips)
+    job = Job(
+        str(folder), paths, masks, side, features, method, shared, context.seed, context.threads, clips, allowance()
+    )
     job.write(folder / "job.json")
     result = finished(folder)
     if result is None:
@@ -212,8 +215,8 @@ def _death(code: int, log: Path, started: bool) -> BaseException:
     """Return the error for a child that died without reporting one. started: it had loaded its libraries."""
     if hasattr(signal, "SIGKILL") and code == -signal.SIGKILL:
         return OutOfResources(
-            "structure from motion was killed by the system, most likely for lack of memory; give a smaller "
-            "--sfm-side or --sfm-features and run the same command"
+            "structure from motion was killed by the system, most likely for lack of memory; give fewer --threads, a "
+            "lower --memory, smaller photos, or a smaller --sfm-side or --sfm-features, and run the same command"
         )
     if code == -signal.SIGTERM:
         return KeyboardInterrupt()

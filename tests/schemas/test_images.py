@@ -107,6 +107,23 @@ def test_gray_with_alpha_and_named_channels(tmp_path):
         read_image(store_named(tmp_path / "a.exr", five, ("a", "b", "c", "d", "e")))
 
 
+def test_a_tiff_of_premultiplied_colors_reads_like_one_of_straight_colors(tmp_path):
+    straight = np.float32([[[0.8, 0.6, 0.1, alpha] for alpha in (0.5, 0.25, 1, 0)]])
+    stored = straight * np.concatenate([straight[..., [3, 3, 3]], np.ones((1, 4, 1), np.float32)], axis=2)
+    read = read_image(store(tmp_path / "a.tif", np.round(65535 * stored).astype(np.uint16))).pixels
+    np.testing.assert_allclose(read[0, :3], straight[0, :3], atol=4 / 65535)  # rounded before the division
+    np.testing.assert_array_equal(read[0, 3], 0)
+    unassociated = store(tmp_path / "b.tif", straight, **{"oiio:UnassociatedAlpha": 1})
+    np.testing.assert_array_equal(read_image(unassociated).pixels, straight)
+
+
+def test_colors_of_formats_without_premultiplied_alpha_stay(tmp_path):
+    array = noise(64, 64, 4)
+    for suffix in ("png", "tga", "bmp", "jp2"):
+        path = store(tmp_path / f"a.{suffix}", array, **{"oiio:UnassociatedAlpha": 1})
+        np.testing.assert_allclose(to_uint8(read_image(path).pixels), array, atol=1 if suffix == "jp2" else 0)
+
+
 def test_light_becomes_code_values_without_alpha_in_them(tmp_path):
     # IEC 61966-2-1: code 0.5 is 0.2140 light. Half of it covers the second pixel, nothing the third.
     light = np.float32([[[0.21404114] * 3 + [1], [0.10702057] * 3 + [0.5], [0, 0, 0, 0], [9, 9, 9, 1]]])

@@ -1,5 +1,7 @@
 import json
 import os
+import sys
+import tracemalloc
 
 import pytest
 
@@ -32,6 +34,24 @@ def test_no_more_than_the_limit_is_read(tmp_path):
         read_bytes(tmp_path / "sparse", 1 << 20, ArtifactDamaged)
     (tmp_path / "small").write_bytes(bytes(100))
     assert len(read_bytes(tmp_path / "small", 100)) == 100
+
+
+def test_a_small_file_takes_little_memory_whatever_the_limit(tmp_path):
+    (tmp_path / "small").write_bytes(b"hello")
+    tracemalloc.start()
+    try:
+        assert read_bytes(tmp_path / "small", 1 << 30) == b"hello"
+        assert tracemalloc.get_traced_memory()[1] < 10 << 20
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/proc is of Linux")
+def test_a_file_that_tells_no_size_is_read_up_to_the_limit():
+    assert os.stat("/proc/self/status").st_size == 0
+    assert b"VmRSS" in read_bytes("/proc/self/status", 1 << 20)
+    with pytest.raises(BadInput, match="grew beyond"):
+        read_bytes("/proc/self/status", 100)
 
 
 @pytest.mark.parametrize("name", ["\ud800.json", "a\x00b", "x" * 5000])

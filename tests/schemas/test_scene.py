@@ -7,7 +7,19 @@ import numpy as np
 import pytest
 
 from schemas.errors import ArtifactDamaged, BadInput
-from schemas.scene import Bounds, Scene, Skipped, Truth, View, as_matrix, read_scene, validate_scene, write_scene
+from schemas.scene import (
+    Bounds,
+    Lens,
+    LensDistortion,
+    Scene,
+    Skipped,
+    Truth,
+    View,
+    as_matrix,
+    read_scene,
+    validate_scene,
+    write_scene,
+)
 
 EYE = as_matrix(np.eye(4))
 
@@ -50,6 +62,16 @@ def test_poses_keep_every_bit(tmp_path):
     view = dataclasses.replace(scene().views[0], world_from_camera=as_matrix(pose))
     write_scene(tmp_path, scene(views=(view,)))
     np.testing.assert_array_equal(np.array(read_scene(tmp_path).views[0].world_from_camera), pose)
+
+
+def test_lenses_are_checked_before_they_are_written(tmp_path):
+    telephoto = Lens(60, 40, 1200.0, 1200.0, 30.0, 20.0, LensDistortion(radial=(0.0, 0.0, 2e6)))
+    views = (dataclasses.replace(scene().views[0], lens=telephoto),)
+    write_scene(tmp_path, scene(views=views))
+    assert read_scene(tmp_path).views == views
+    beyond = dataclasses.replace(telephoto, distortion=LensDistortion(radial=(1e13,)))
+    with pytest.raises(BadInput, match="view v0: lens: radial is"):
+        write_scene(tmp_path, scene(views=(dataclasses.replace(views[0], lens=beyond),)))
 
 
 def test_depth_pattern_counts_in_its_own_width():

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import shutil
 import time
+from pathlib import Path
 
 import pytest
 
@@ -262,6 +263,18 @@ def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added)
     (old.path / added).unlink()
     again = work.begin("field", "fox", recipe(seed=1))
     assert again.resumed and again.commit().manifest.seed == 1
+
+
+def test_what_no_run_wrote_is_found_in_any_locale(tmp_path, monkeypatch):
+    work = WorkFolder(tmp_path)
+    partial = work.begin("frames", "fox", recipe())
+    (partial.path / "caf\u00e9.png").write_bytes(b"frame")
+    partial.commit()
+    (tmp_path / "frames" / "fox" / "notes.txt").write_text("mine")
+    read_text = Path.read_text
+    monkeypatch.setattr(Path, "read_text", lambda path, encoding="ascii", errors=None: read_text(path, encoding))
+    with pytest.raises(WouldBeLost, match=r"notes\.txt"):
+        work.begin("frames", "fox", recipe(seed=1))
 
 
 def test_foreign_folders_are_kept_and_damaged_artifacts_rebuilt(tmp_path):

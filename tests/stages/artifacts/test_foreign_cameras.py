@@ -58,6 +58,7 @@ def test_unsound_cameras_of_3dgs_are_refused(scene, tmp_path, change, said):
         ("one two", "expected frame tx"),
         ("", "it is empty"),
         ("\x00\x01", "expected frame tx"),
+        ("# a comment\n\none two", "line 3 is"),
     ],
 )
 def test_unsound_lines_of_chan_are_refused(scene, tmp_path, text, said):
@@ -126,6 +127,12 @@ def Xform "rig"
 """
 
 
+SETTINGS = """def RenderSettings "r" {{
+        {}
+        rel camera = </rig/cam>
+    }}"""
+
+
 def usd(folder, up="Y", end="3", focal="36", more="", text=USD):
     path = folder / "shot.usda"
     path.write_text(text.format(up=up, end=end, focal=focal, more=more))
@@ -157,6 +164,14 @@ def test_a_camera_on_a_moving_scaled_rig_is_followed(scene, tmp_path, up):
         ({"more": 'def Camera "other" {{}}'.replace("{{}}", "{\n}")}, "has 2 cameras"),
         ({"more": 'def "x" (references = @/etc/passwd@</a>)\n{\n}'}, "refers to other files"),
         ({"more": 'def "x" (payload = @other.usda@)\n{\n}'}, "refers to other files"),
+        ({"end": "1e9"}, "shot.usda lists"),
+        ({"up": "X"}, "has X as its up axis, expected Y or Z"),
+        ({"text": '#usda 1.0\ndef Camera "c"\n{{\nfloat focalLength = None\n}}'}, "0: focalLength is None, expected"),
+        ({"text": USD.replace("float focalLength = {focal}", 'string focalLength = "abc"')}, "focalLength is abc"),
+        ({"more": SETTINGS.format("int resolution = 5")}, "resolution is 5, expected two numbers"),
+        ({"more": SETTINGS.format("int2 resolution = None")}, "resolution is None, expected two numbers"),
+        ({"more": SETTINGS.format('string pixelAspectRatio = "q"')}, "pixelAspectRatio is q, expected a number"),
+        ({"text": "#usda 1.0\ndef def"}, "parse error"),
     ],
 )
 def test_unsound_usd_files_are_refused(scene, tmp_path, change, said):

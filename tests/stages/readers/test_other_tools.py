@@ -10,7 +10,7 @@ import pytest
 
 from schemas.errors import BadInput
 from stages.pose_import import digest_of_source
-from stages.readers import found_in
+from stages.readers import found_in, read_source
 from tests.stages import dots
 from tests.stages.dots import FOCAL, HEIGHT, WIDTH
 from tests.stages.importing import Said, imported, scene_of
@@ -345,6 +345,22 @@ def test_refused(tmp_path, row):
     with pytest.raises(BadInput) as reported:
         imported(tmp_path / "capture", tmp_path / "work", test_every=0)
     assert words in str(reported.value) and "--format photos" in str(reported.value) and "\n" not in str(reported.value)
+
+
+@pytest.mark.parametrize("count", [2, 6])
+def test_points_of_opensfm_have_three_coordinates(tmp_path, count):
+    points = {str(n): {"coordinates": [1.0] * count, "color": [1.0] * count} for n in range(3)}
+    opensfm(tmp_path, change=lambda part: part | {"points": points})
+    with pytest.raises(BadInput, match="a point has no coordinates or no color of three numbers"):
+        read_source(tmp_path)
+
+
+def test_a_resolution_of_metashape_with_thousands_of_digits_is_refused(tmp_path):
+    metashape(tmp_path, BROWN)
+    path = tmp_path / "cameras.xml"
+    path.write_text(path.read_text().replace(f'width="{WIDTH}"', f'width="{"9" * 5000}"'))
+    with pytest.raises(BadInput, match="its sensor has no resolution"):
+        read_source(tmp_path)
 
 
 def test_deeply_nested_xml_is_refused(tmp_path):

@@ -1,6 +1,8 @@
 """What readers make of posed sources: which photos they find, how those are turned, which masks belong to them."""
 
+import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,20 @@ import pytest
 from schemas.errors import BadInput
 from schemas.exr import ExrView, write_exr
 from schemas.images import read_image, to_uint8, write_png
+from schemas.manifest import Recipe
+from schemas.work_folder import WorkFolder
 from stages import region_select
+from stages.artifacts.camera_files import digest_of_cameras
 from stages.artifacts.scene import load_scene
 from stages.artifacts.style_images import read_style_image
 from stages.evaluation.region_masks import resized_mask
 from stages.pipeline.prerequisites import import_config
-from stages.pose_import import digest_of_source
+from stages.pose_import import digest_of_source, import_scene
+from stages.readers import read_source
+from stages.readers.listed_photos import Folder
 from stages.readers.photo_folder import photos_of
-from stages.readers.source import find_image, natural
+from stages.readers.source import SourceCamera, find_image, natural, with_masks
+from stages.run.progress import Context
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.photo_room import write_tagged
 from tests.stylerf_cli import capture
@@ -210,6 +218,33 @@ def test_masks_lie_as_their_photos_do(source, tmp_path, mask, view):
     assert cut_out(imported(source, tmp_path / "work")) == [view]
 
 
+def test_masks_of_photos_on_another_drive(tmp_path, monkeypatch):
+    """Windows knows no relative path from one drive to another."""
+
+    def relpath(path, start):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    photo = tmp_path / "photos" / "images" / "1.png"
+    write_mask(photo)
+    write_mask(tmp_path / "scan" / "masks" / "1.png")
+    monkeypatch.setattr(os.path, "relpath", relpath)
+    [camera] = with_masks([SourceCamera("1", "1.png", photo, np.eye(4))], tmp_path / "scan")
+    assert camera.mask == tmp_path / "scan" / "masks" / "1.png"
+
+
+def test_names_near_the_limit_of_the_file_system(tmp_path):
+    """Decomposed, 36 Korean letters take 324 bytes; as masks, names of 240 letters take more than 255."""
+    names = ["\ud55c" * 36, "a" * 240]
+    (tmp_path / "masks").mkdir()
+    for name in names:
+        write_mask(tmp_path / "images" / f"{name}.png")
+    cameras = [SourceCamera(name, name, tmp_path / "images" / f"{name}.png", np.eye(4)) for name in names]
+    assert [(one.mask, one.hides) for one in with_masks(cameras, tmp_path)] == [(None, None)] * 2
+    listed = Folder(tmp_path)
+    assert listed.photo(f"images/{names[0]}.png")[1] == tmp_path / "images" / f"{names[0]}.png"
+    assert listed.photo("\ud55d" * 36 + ".jpg")[1] is None
+
+
 def test_a_mask_that_could_be_of_either_of_two_photos_is_refused(source, tmp_path):
     in_folders(source)
     write_mask(source / "masks" / "p00.png")
@@ -288,6 +323,34 @@ def test_a_dynamic_mask_counts_and_is_no_photo(posed):
         write_png(posed / "images" / "dynamic_mask_p01.png", np.zeros((36, 48), np.uint8))
         assert len({before, first, digest_of_source(posed, kind)}) == 3
     assert [photo.stem for photo in photos_of(posed)] == ["p00", "p01", "p02", "p03"]
+
+
+def test_a_source_whose_name_is_not_utf8_is_refused_and_such_a_file_beside_the_photos_is_not(tmp_path):
+    named = tmp_path / "caf\udce9"
+    named.mkdir()
+    with pytest.raises(BadInput, match=r"caf\\xe9: its name is not UTF-8; rename it"):
+        digest_of_source(named)
+    (tmp_path / "caf\udce9.mp4").touch()
+    with pytest.raises(BadInput, match=r"caf\\xe9\.mp4: its name is not UTF-8; rename it"):
+        digest_of_source(tmp_path)
+    with pytest.raises(BadInput, match=r"caf\\xe9\.json: its name is not UTF-8; rename it"):
+        digest_of_cameras(tmp_path / "caf\udce9.json")
+
+
+def test_photos_left_out_may_have_any_name(posed, tmp_path):
+    source = replace(read_source(posed), skipped=(("caf\udce9.HEIC", "unsupported format"),))
+    config = import_config(posed)
+    partial = WorkFolder(tmp_path / "work").begin("scene", "main", Recipe("pose_import", 7, {}, []))
+    figures = import_scene(source, config, partial, Context())
+    made = partial.commit(figures=figures)
+    assert [one.source for one in scene_of(made).skipped] == made.manifest.figures["skipped"] == ["caf\\udce9.HEIC"]
+
+
+def test_radiance_pictures_are_photos(tmp_path):
+    for name in ("a.hdr", "b.HDR", "c.exr"):
+        (tmp_path / name).touch()
+    assert [photo.name for photo in photos_of(tmp_path)] == ["a.hdr", "b.HDR", "c.exr"]
+    assert find_image(tmp_path / "b") == tmp_path / "b.HDR"
 
 
 def test_a_list_of_poses_counts(posed):

@@ -9,7 +9,7 @@ import pytest
 from schemas.errors import BadInput
 from schemas.images import read_image
 from stages.readers import found_in
-from stages.readers.splats import files_of, rendered, splats_in
+from stages.readers.splats import _listed, files_of, rendered, splats_in
 from stages.run.progress import Context
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.splat_scene import around, ball, entry, write_output, write_ply
@@ -109,6 +109,12 @@ def test_faulty_cameras_are_refused_in_one_line(output, tmp_path, fault):
     with pytest.raises(BadInput, match=why) as refused:
         imported(output, tmp_path / "w")
     assert "\n" not in str(refused.value)
+
+
+def test_every_camera_keeps_a_name_of_its_own(tmp_path):
+    listed = [entry(camera) | {"img_name": name} for camera, name in zip(around(), ("a-00002", "a", "a"), strict=False)]
+    (tmp_path / "cameras.json").write_text(json.dumps(listed))
+    assert [one.name for one in _listed(tmp_path / "cameras.json")] == ["a-00002", "a", "a-00002-00002"]
 
 
 def test_what_splats_need_and_what_others_do_not_take(output, tmp_path):

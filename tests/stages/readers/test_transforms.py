@@ -375,7 +375,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     changes = {"fl_x": 50.0, "cx": 23.0}, {}, {"camera_angle_x": ANGLE_X}, {"fl_y": 70}
     found = lens(source, tmp_path / "a", on_frames(listed(fl_x=40, fl_y=55), *changes))
-    np.testing.assert_allclose(found, [[50, 55, 23, 18], [40, 55, 24, 18], [45, 55, 24, 18], [40, 70, 24, 18]])
+    np.testing.assert_allclose(found, [[50, 50, 23, 18], [40, 55, 24, 18], [45, 45, 24, 18], [70, 70, 24, 18]])
     write_png(source / "images" / "p01.png", np.full((40, 50, 3), 90, np.uint8))
     found = lens(source, tmp_path / "b", on_frames(listed(**(NO_LENS | {"fl_x": 40})), {}, {"w": 50, "h": 40}))
     np.testing.assert_allclose(found[:2], [[40, 40, 24, 18], [40, 40, 25, 20]])

@@ -8,9 +8,9 @@ import pytest
 pytest.importorskip("av")
 
 from schemas.errors import BadInput
-from schemas.images import read_image
+from schemas.images import read_image, write_png
 from stages.readers import found_in
-from stages.readers.video import clips_of, frames_as_photos
+from stages.readers.video import _name, clips_of, frames_as_photos
 from stages.run.progress import Context
 from stages.sfm.colmap_database import KEY_FRAME_EVERY, OVERLAP, chosen_matching, pairs
 from tests.stages.clips import orbit, pictures, smeared, write_clip
@@ -80,6 +80,14 @@ def test_interrupted_choosing_goes_on_with_the_same_bytes(chosen, clip, tmp_path
     again = frames_as_photos([clip], 15, tmp_path, Context())
     assert [one.name for one, _ in again] == [one.name for one, _ in photos]
     assert all(path.read_bytes() == whole[path.name] for path, _ in again)
+
+
+def test_frames_of_a_clip_with_a_long_name_can_be_written(tmp_path):
+    path = tmp_path / ("\u6620" * 80 + ".mp4")  # 244 bytes
+    name = _name(path, 11, 2, 12, 1.5)
+    write_png(tmp_path / name, np.zeros((2, 2, 3), np.uint8))
+    assert name == "11-" + "\u6620" * 26 + "-00001.500000s.png"
+    assert _name(tmp_path / ("a" * 90 + ".mp4"), 0, 1, 1, 1.5) == "a" * 80 + "-00001.500000s.png"
 
 
 def test_a_still_clip_is_refused(walk, tmp_path):

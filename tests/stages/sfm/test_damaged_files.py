@@ -1,21 +1,29 @@
 """Structure from motion goes on from what an interrupted run left: what is damaged there is made again."""
 
+import io
 import json
 import shutil
 import sqlite3
+import threading
+import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pycolmap
 import pytest
 
+from schemas import safe_reading
 from schemas.canonical_json import file_sha256
-from schemas.images import write_png
+from schemas.errors import BadInput
+from schemas.images import read_srgb, write_png
+from stages.readers.source import IMAGE_SUFFIXES
 from stages.run.progress import Context
-from stages.sfm import colmap_database, matching, photo_copies, reconstruction
+from stages.sfm import child, colmap_database, matching, photo_copies, reconstruction
 from stages.sfm.colmap_database import Rows
-from stages.sfm.job import Job
+from stages.sfm.job import Job, JobProgress
 from tests.stages.importing import Said
 from tests.stages.photo_room import walk, write_photos
 
@@ -79,6 +87,55 @@ def test_a_damaged_copy_is_made_again(job, tmp_path, name, damage):
     untouched = (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns
     assert photo_copies.make_copies(job, Heard()) == first and digests(tmp_path) == whole
     assert (tmp_path / "copies" / "00000.jpg").stat().st_mtime_ns == untouched
+
+
+@pytest.mark.parametrize(("fit", "threads", "most"), [(2, 4, 2), (0, 4, 1), (9, 2, 2)])
+def test_as_many_photos_are_copied_at_once_as_memory_and_threads_allow(job, monkeypatch, fit, threads, most):
+    reading, seen, lock = [], [], threading.Lock()
+
+    def read(path):
+        with lock:
+            reading.append(path)
+            seen.append(len(reading))
+        time.sleep(0.1)
+        with lock:
+            reading.remove(path)
+        return read_srgb(path)
+
+    monkeypatch.setattr(photo_copies, "read_srgb", read)
+    allowed = fit * photo_copies.BYTES_PER_PIXEL * 120 * 90
+    photo_copies.make_copies(replace(job, threads=threads, allowance=allowed), Heard())
+    assert max(seen) == most
+
+
+def test_the_memory_of_the_parent_bounds_the_child(job, tmp_path, monkeypatch):
+    jobs = []
+    monkeypatch.setattr(reconstruction, "run_child", lambda path, context: jobs.append(Job.read(path)))
+    monkeypatch.setattr(reconstruction, "_result", lambda folder: {})
+    monkeypatch.setattr(reconstruction, "_scene", lambda *args: None)
+    monkeypatch.setattr(photo_copies, "make_copies", lambda job, progress: photo_copies.usable([], 3))
+    monkeypatch.setattr(safe_reading, "_find", lambda: 1 << 30)
+    photos = [Path(photo) for photo in job.photos]
+    options = {"matching": "auto", "side": 800, "features": 100, "shared": True}
+    reconstruction.reconstructed(photos, photos[0].parent, tmp_path, Context(), **options)
+    assert jobs[0].allowance == 1 << 30
+    with pytest.raises(BadInput, match="can be used"):
+        child.run(replace(jobs[0], allowance=1 << 29), JobProgress(io.StringIO()))
+    assert safe_reading.allowance() == 1 << 29
+
+
+@pytest.mark.parametrize("suffix", IMAGE_SUFFIXES)
+def test_photos_of_every_format_are_copied(tmp_path, suffix):
+    """Also of those that COLMAP itself cannot open."""
+    pixels = np.full((64, 96, 3), 0.5, np.float32)
+    pixels[:, :48] = 0.2
+    target = oiio.ImageOutput.create(f"x{suffix}")
+    photo = str(tmp_path / f"x{suffix}")
+    assert target.open(photo, oiio.ImageSpec(96, 64, 3, oiio.UINT8)) and target.write_image(pixels) and target.close()
+    [copy] = photo_copies.make_copies(Job(str(tmp_path), (photo,)), Heard())
+    assert (copy.full_size, copy.size, copy.focal, copy.unusable) == ((96, 64), (96, 64), 0.0, "")
+    made = read_srgb(tmp_path / "copies" / copy.file).pixels
+    np.testing.assert_allclose(made, read_srgb(photo).pixels, atol=0.05)  # JPEG
 
 
 @pytest.mark.parametrize("damage", [flipped, cut, Path.unlink])
