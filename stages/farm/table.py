@@ -256,6 +256,7 @@ def _scene(
     path = checks.located(options["eval"].pop("path", ""))
     if not isinstance(path, str) or path in OWN_VIEWS:
         checks.fault(f"{where} eval: path", f"is {_shown(path)}; expected a camera path such as orbit or spiral")
+        path = ""
     # Regions are those of the edits that happen to be finished: a picture must not depend on the order of jobs.
     options["render"].setdefault("regions", False)
     options["fit"].setdefault("buffers", False)

@@ -48,8 +48,8 @@ def options_for(argv: list[str]) -> type:
 
 
 def _table_of(file: str) -> dict[str, Any]:
-    """Return the options for this verb in a --config file, none without a file."""
-    content = read_toml(Path(file)) if file else {}
+    """Return the options for this verb in a --config file; none without a file, whose lack is reported later."""
+    content = read_toml(Path(file)) if Path(file).is_file() else {}
     own = content.get(NAME, {})
     top = {key: value for key, value in content.items() if not isinstance(value, dict)}
     return {**top, **own} if isinstance(own, dict) else top
