@@ -5,8 +5,10 @@ import pytest
 import torch
 
 from stylerf.style.color_matching import match_colors
-from stylerf.training.stylize.scene import ObjectPhotos, rendered_match
+from stylerf.training.stylize import geometry, scene
+from stylerf.training.stylize.scene import ObjectPhotos, StyledScene, rendered_match
 from tests.stylerf.style.small_trunk import picture
+from tests.stylerf.training.stylizing import new_color, problem, settings
 
 
 def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: torch.Tensor) -> np.ndarray:
@@ -62,3 +64,15 @@ def test_half_covered_pixels_count_where_there_are_no_others():
     wanted = np.cov(painting.flatten(1).double().numpy(), ddof=0)
     np.testing.assert_allclose(after(0.3, 0.0), wanted, atol=1e-4)
     np.testing.assert_allclose(after(0.9, 0.4), wanted, atol=1e-4)  # the upper half does not count
+
+
+def test_a_view_that_no_cache_holds_is_marched_once_and_not_for_every_chunk(monkeypatch):
+    marches, march = [], geometry.surface_of
+    monkeypatch.setattr(geometry, "surface_of", lambda *given: marches.append(1) or march(*given))
+    monkeypatch.setattr(scene, "PIXELS_AT_ONCE", 50)  # of 252
+    one = StyledScene(problem(settings(), memory=0.0), new_color)
+    for views, expected in (([0], 1), ([1, 1], 1), ([0, 1], 2)):
+        marches.clear()
+        for view in views:
+            one.render_over(view)
+        assert len(marches) == expected
