@@ -72,10 +72,11 @@ class ObjectPhotos:
     def _beside(self, view: int) -> np.ndarray | np.float32:
         return self.photos[view] if self.background is None else self.background
 
-    def colors(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A sample of their colors [n, 3] and weights [n]. count: number of pixels of all photos."""
-        straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
-        return pixels_of(straight, seed=seed, count=count)
+    def colors(self, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of the colors [n, 3] of covered pixels, and their weights [n]."""
+        views = range(len(self.photos))
+        covered = sum(int((self.alpha(view) > 0).sum()) for view in views)
+        return pixels_of((straight_rgba(*self(view)) for view in views), seed=seed, count=covered)
 
     def mapped(self, view: int, color_map: ColorMap) -> np.ndarray:
         """A photo with the object's colors mapped, [h, w, 3]; the background stays."""
@@ -319,8 +320,7 @@ class StyledScene(Generic[Settings_co]):
             return self._region_masks[view] if self.of_region else self.fixed.alpha(view)
 
         of_object = ObjectPhotos(photos, alpha, None if self.of_region else self.background)
-        pixels = sum(camera.width * camera.height for camera in self.cameras)
-        colors, weights = of_object.colors(p.seed, pixels)
+        colors, weights = of_object.colors(p.seed)
         if isinstance(s, ImageStyleSettings) and s.keep_colors and self.style_image is not None:
             self.style_colors = shown_colors(in_colors_of(self.style_image, colors, weights))
             self.style_image = in_brightness_of(self.style_image, colors, weights)

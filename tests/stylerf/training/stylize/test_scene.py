@@ -13,7 +13,7 @@ from tests.stylerf.training.stylizing import new_color, problem, settings
 
 def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: torch.Tensor) -> np.ndarray:
     of_object = ObjectPhotos([photo], lambda view: alpha, np.float32(background))
-    colors, weights = of_object.colors(0, photo.size // 3)
+    colors, weights = of_object.colors(0)
     return of_object.mapped(0, match_colors(colors, painting.flatten(1).T, weights))
 
 
@@ -43,7 +43,7 @@ def test_what_lies_beside_a_part_of_a_photo_stays_and_half_of_it_half():
     photo, alpha = picture(6, 8, 1).permute(1, 2, 0).numpy(), np.zeros((6, 8), np.float32)
     alpha[:3], alpha[3] = 1, 0.5
     of_part = ObjectPhotos([photo], lambda view: alpha, None)
-    colors, weights = of_part.colors(0, 48)
+    colors, weights = of_part.colors(0)
     found = of_part.mapped(0, match_colors(colors, torch.tensor([[0.2, 0.4, 0.6]] * 9), weights))
     np.testing.assert_array_equal(found[4:], photo[4:])
     wanted = np.array([0.2, 0.4, 0.6], np.float32)  # of a painting of one color
