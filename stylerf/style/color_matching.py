@@ -17,6 +17,7 @@ from stylerf.srgb import LUMA
 from stylerf.style.transparency import shown_colors
 
 VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)
+SAMPLE = 200_000  # pixels that stand for all
 NOISE = (2 / 255) ** 2  # variance of the content below which it is noise of 8-bit photos
 
 
@@ -138,7 +139,7 @@ def strokes_in(style_image: Tensor, least: float) -> float:
 
 
 def pixels_of(
-    images: Iterable[Tensor], most: int = 200_000, seed: int = 0, count: int | None = None
+    images: Iterable[Tensor], most: int = SAMPLE, seed: int = 0, count: int | None = None
 ) -> tuple[Tensor, Tensor]:
     """Sample colors [n, 3] and weights [n] of a set of images, the same fraction of each one's pixels that count.
 
@@ -160,6 +161,16 @@ def pixels_of(
         rows.append(flat)
     sample = torch.cat(rows)
     return sample[:, :3], sample[:, 3]
+
+
+def sample_of(image: Tensor, most: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Sample colors [n, 3] and weights [n], n <= most, of one image; weights sum to about those of all its pixels.
+
+    So samples of images that are seen one by one can be joined. Arguments as for pixels_of.
+    """
+    flat = _counting(image)
+    sample = _drawn(flat, most, generator) if len(flat) > most else flat
+    return sample[:, :3], sample[:, 3] * (len(flat) / max(len(sample), 1))
 
 
 def _counting(image: Tensor) -> Tensor:

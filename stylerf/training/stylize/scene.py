@@ -23,10 +23,12 @@ from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import (
+    SAMPLE,
     in_brightness_of,
     in_colors_of,
     match_colors,
     pixels_of,
+    sample_of,
     spread_at_least,
     spread_at_most,
     strokes_in,
@@ -98,18 +100,22 @@ def rendered_match(
     pictures: Iterable[tuple[np.ndarray, np.ndarray]],  # premultiplied rgb [h, w, 3], alpha [h, w]
     style_image: torch.Tensor,
     seed: int,
+    count: int = 1,
 ) -> ColorMap:
-    """The map from renders' colors to the style image's (ARF's last step).
+    """The map from renders' colors to the style image's (ARF's last step). count: number of pictures.
 
     Pixels that are half covered or less do not count, unless there are no others: in haze, or of rods thinner than a
-    pixel.
+    pixel. Of each picture only a sample is kept.
     """
-    seen = [straight_rgba(*picture) for picture in pictures]
-    # Dividing by a small alpha amplifies noise, which would count as colors.
-    if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
-        for rgba in seen:
-            rgba[3][rgba[3] <= SOLID] = 0
-    colors, weights = pixels_of(seen, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
+    solid: list[tuple[Tensor, Tensor]] = []
+    hazy: list[tuple[Tensor, Tensor]] = []
+    for rgb, alpha in pictures:
+        opaque = bool((alpha > SOLID).any())
+        # Dividing by a small alpha amplifies noise, which would count as colors.
+        rgba = straight_rgba(rgb, alpha, SOLID if opaque else 0)
+        (solid if opaque else hazy).append(sample_of(rgba, round(SAMPLE / count), generator))
+    colors, weights = (torch.cat(parts) for parts in zip(*(solid or hazy), strict=True))
     return match_colors(colors.clamp(0, 1), style_image.flatten(1).T, weights)
 
 
@@ -349,11 +355,12 @@ class StyledScene(Generic[Settings_co]):
         """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
         if self.style_colors is None:
             return None
+        views = evenly_spaced(len(self.cameras), MATCHED_VIEWS)
         images = (
             (self.render(view).reshape(*self.geometry.alpha(view).shape, 3), self.geometry.alpha(view))
-            for view in evenly_spaced(len(self.cameras), MATCHED_VIEWS)
+            for view in views
         )
-        return rendered_match(images, self.style_colors, self.problem.seed)
+        return rendered_match(images, self.style_colors, self.problem.seed, len(views))
 
     # -- learning ---------------------------------------------------------------------------------------------------
 

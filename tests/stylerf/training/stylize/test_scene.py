@@ -1,5 +1,7 @@
 """Photos brought to a painting's colors: what is background stays, edges included."""
 
+import weakref
+
 import numpy as np
 import pytest
 import torch
@@ -64,6 +66,24 @@ def test_half_covered_pixels_count_where_there_are_no_others():
     wanted = np.cov(painting.flatten(1).double().numpy(), ddof=0)
     np.testing.assert_allclose(after(0.3, 0.0), wanted, atol=1e-4)
     np.testing.assert_allclose(after(0.9, 0.4), wanted, atol=1e-4)  # the upper half does not count
+
+
+def test_the_last_match_keeps_samples_of_renders_and_weighs_each_by_its_pixels(monkeypatch):
+    """Of 400 red pixels and twice 100 blue ones, 20 of each picture are sampled, which stand for 2 to 1."""
+    monkeypatch.setattr(scene, "SAMPLE", 60)
+    made = []
+
+    def render(color: list[float], side: int) -> tuple[np.ndarray, np.ndarray]:
+        assert sum(other() is not None for other in made) <= 1  # the one before
+        rgb = np.full((side, side, 3), color, np.float32)
+        made.append(weakref.ref(rgb))
+        return rgb, np.ones((side, side), np.float32)
+
+    painting, shown = picture(16, 16, 5), (([1.0, 0, 0], 20), ([0, 0, 1.0], 10), ([0, 0, 1.0], 10))
+    found = rendered_match((render(*one) for one in shown), painting, 0, 3)
+    colors = torch.tensor([[1.0, 0, 0], [0, 0, 1]])
+    expected = match_colors(colors, painting.flatten(1).T, torch.tensor([2.0, 1]))
+    np.testing.assert_allclose(found(colors.double()), expected(colors.double()), atol=1e-6)
 
 
 def test_a_view_that_no_cache_holds_is_marched_once_and_not_for_every_chunk(monkeypatch):
