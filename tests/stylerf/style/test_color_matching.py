@@ -92,7 +92,8 @@ def test_samples_are_drawn_from_pixels_that_count_alone():
 
 def test_where_every_pixel_counts_alpha_changes_no_draw():
     image = torch.rand(3, 30, 40, generator=torch.Generator().manual_seed(1))
-    plain, opaque = (color_matching.pixels_of([one], most=99)[0] for one in (image, torch.cat([image, image[:1] * 0 + 1])))
+    opaque = torch.cat([image, torch.ones(1, 30, 40)])
+    plain, opaque = (color_matching.pixels_of([one], most=99)[0] for one in (image, opaque))
     drawn = torch.randint(1200, (99,), generator=torch.Generator().manual_seed(0))
     assert torch.equal(plain, image.flatten(1).T[drawn]) and torch.equal(opaque, plain)
 
