@@ -44,7 +44,8 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         gate=config.gate,
     )
     train = scene.splits["train"]
-    aside = spread(train, min(4, max(1, len(train) // 10))) if config.gate > 0 else []
+    # Of a single view, the photo that it learns is all there is to judge by.
+    aside = spread(train, min(4, max(1, len(train) // 10))) if config.gate > 0 and len(train) > 1 else []
     bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
@@ -58,7 +59,8 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         _train(fitter, config, partial, context)
     if fitter.dropped:
         gained = fitter.state.best - fitter.state.before
-        context.progress.say(f"the deformation is dropped: held-out views gain {gained:.2f} dB, not {config.gate:g}")
+        judges = "held-out views gain" if aside else "the only training view gains"
+        context.progress.say(f"the deformation is dropped: {judges} {gained:.2f} dB, not {config.gate:g}")
     save_field(partial.path, field, background)
     save_deformation(partial.path, deformation)
     state = fitter.state
