@@ -20,7 +20,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 
-SPEC = Spec(stage="deform_init", verb="deform", revision=4, writes="field")
+SPEC = Spec(stage="deform_init", verb="deform", revision=5, writes="field")
 
 
 def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtifact, context: Context) -> dict:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.errors import Diverged
+from stylerf.errors import Diverged, InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.camera_paths import look_at
@@ -22,9 +22,9 @@ from stylerf.training.stylize.settings import ArfSettings, DesrfSettings
 from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 from stylerf.training.stylize.trainer import StylizationTrainer
 from tests.stylerf.small import float64, oracle_color
-from tests.stylerf.style.small_trunk import small_trunk
+from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
-from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, WIDTH, problem, settings, trainer
+from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, WIDTH, arf, problem, settings, trainer
 
 
 def stylizer(
