@@ -44,8 +44,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         gate=config.gate,
     )
     train = scene.splits["train"]
-    # Of a single view, the photo that it learns is all there is to judge by.
-    aside = spread(train, min(4, max(1, len(train) // 10))) if config.gate > 0 and len(train) > 1 else []
+    aside = held_out(train) if config.gate > 0 else []
     bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
@@ -93,3 +92,8 @@ def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArti
             context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
 
     run_training(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, report)
+
+
+def held_out(train: list[int]) -> list[int]:
+    """Training views that the gate judges by; none of a single one, whose photo then has to do for both."""
+    return spread(train, min(4, max(1, len(train) // 10))) if len(train) > 1 else []
