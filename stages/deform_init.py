@@ -20,7 +20,7 @@ from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import deform_backend
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 
-SPEC = Spec(stage="deform_init", verb="deform", revision=4, writes="field")
+SPEC = Spec(stage="deform_init", verb="deform", revision=5, writes="field")
 
 
 def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtifact, context: Context) -> dict:
@@ -44,7 +44,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         gate=config.gate,
     )
     train = scene.splits["train"]
-    aside = spread(train, min(4, max(1, len(train) // 10))) if config.gate > 0 else []
+    aside = held_out(train) if config.gate > 0 else []
     bank = bank_of(scene, [i for i in train if i not in aside] + aside, partial.folder, context)
     device = gpu_of(context, field, moving=True)
     with compiling_note(context.progress.say):
@@ -58,7 +58,8 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
         _train(fitter, config, partial, context)
     if fitter.dropped:
         gained = fitter.state.best - fitter.state.before
-        context.progress.say(f"the deformation is dropped: held-out views gain {gained:.2f} dB, not {config.gate:g}")
+        judges = "held-out views gain" if aside else "the only training view gains"
+        context.progress.say(f"the deformation is dropped: {judges} {gained:.2f} dB, not {config.gate:g}")
     save_field(partial.path, field, background)
     save_deformation(partial.path, deformation)
     state = fitter.state
@@ -91,3 +92,8 @@ def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArti
             context.progress.update(now.state.step, f"{now.state.best:.2f} dB on the photos")
 
     run_training(fitter, "the deformation", config.checkpoint_every_seconds, partial, context, report)
+
+
+def held_out(train: list[int]) -> list[int]:
+    """Training views that the gate judges by; none of a single one, whose photo then has to do for both."""
+    return spread(train, min(4, max(1, len(train) // 10))) if len(train) > 1 else []

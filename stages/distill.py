@@ -54,7 +54,7 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
         for done, view in enumerate(views):
             image, own = edited_photo(scene, view, module, edit.changes, config, threads)
             write_png(partial.path / scene.views[view.view].image, image)
-            targets |= {f"{view.view}.pixels": view.pixels[own], f"{view.view}.depth": view.through[own]}
+            targets |= {f"{view.view}.pixels": view.pixels[own], f"{view.view}.depth": held_depth(view)[own]}
             context.progress.update(done + 1)
     context.progress.finish()
     write_unedited_photos(scene, {view.view for view in views}, partial.path)
@@ -62,6 +62,14 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
     keep_earlier_edits(scene, targets)
     save_tensors(partial.path / EDIT_TARGETS, targets)
     return {"views": len(views), "pixels": pixels, **gpu_figures(device)}
+
+
+def held_depth(view: EditView) -> np.ndarray:
+    """sum(w t) [n] that fine-tuning holds the view's rays to; 0, none, where a ray ends in the background.
+
+    There the sum is next to nothing, and its relative error, which fine-tuning takes, could be anything.
+    """
+    return np.where(view.depth > 0, view.through, np.float32(0))
 
 
 def edited_photo(

@@ -24,7 +24,7 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.training.backends import ray_ends
 
-SPEC = Spec(stage="edit_dataset", verb="extract", revision=4, writes="edit-dataset")
+SPEC = Spec(stage="edit_dataset", verb="extract", revision=5, writes="edit-dataset")
 FADING = 1 / 40  # of the region's size
 
 
@@ -88,12 +88,14 @@ def _exr(seen: Seen, edit: EditView, camera: Camera, field: RadianceField) -> Ex
         ("beside", edit.edges[:, 1]),
     ):
         full[name][edit.pixels] = values
+    # What ends in the background has no depth, and lies as far as the space reaches.
+    depth = np.where(seen.depth > 0, seen.depth, np.float32(field.space.far))
     planes = {name: plane.reshape(seen.alpha.shape) for name, plane in full.items()}
     return ExrView(
         rgb=rgb.reshape(*seen.alpha.shape, 3),
         alpha=planes["alpha"],
-        z=seen.depth * camera.ray_cosines(),
-        ray_distance=seen.depth,
+        z=depth * camera.ray_cosines(),
+        ray_distance=depth,
         world_from_camera=camera.world_from_camera,
         intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy),
         near=max(field.space.near, 1e-3),

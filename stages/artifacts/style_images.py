@@ -80,18 +80,23 @@ def read_style_image(
         BadInput: No image, a transparent one, one of less than 16 pixels a side, or a crop that does not fit.
     """
     pixels = read_shown(path, crop)
+    _check_size(path, pixels)
     if not (keep_frame or crop) and pixels.shape[2] == 3 and (frame := frame_of(pixels)):
         say(f"{path.name}: left out a frame of {frame}; --keep-frame keeps it")
         pixels = frame.without(pixels)
     return _tensor(path, pixels)
 
 
-def _tensor(path: Path, pixels: np.ndarray) -> torch.Tensor:
+def _check_size(path: Path, pixels: np.ndarray) -> None:
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
         raise BadInput(
             f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least {SMALLEST_SIDE} pixels a side "
             "is needed"
         )
+
+
+def _tensor(path: Path, pixels: np.ndarray) -> torch.Tensor:
+    _check_size(path, pixels)
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
 

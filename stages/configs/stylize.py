@@ -243,7 +243,7 @@ class SnerfConfig(StylizeConfig):
     """SNeRF: images are optimized in 2D, then the field learns them, in rounds."""
 
     method: str = option("snerf", choices=METHODS, help="snerf: alternate images and field")
-    rounds: int = option(3, help="rounds of images, then field, that share the budget")
+    rounds: int = option(3, help="rounds of images, then field, that share the budget (two steps each at least)")
     image_by: str = option(
         "gram", choices=("gram", "features"), help="style distance of the images: Gram matrices, or as --match-by says"
     )
@@ -257,6 +257,12 @@ class SnerfConfig(StylizeConfig):
         super().__post_init__()
         if self.rounds < 1 or self.image_steps < 1:
             raise ValueError("rounds and image_steps must be at least 1")
+        steps = budget_of(self.budget)[1]
+        if 0 < steps < 2 * self.rounds:
+            raise ValueError(
+                f"--budget {steps} leaves no step for the field in some of {self.rounds} rounds; give at least "
+                f"{2 * self.rounds} steps, or fewer --rounds"
+            )
         if self.image_by == "gram":
             self._refuse_matching("--image-by gram")
         if not 0 < self.image_share < 1 or self.image_rate <= 0:

@@ -29,10 +29,12 @@ class EditView:
         target: [n, 3] the photo, sRGB 0..1.
         weight: [n] alpha of the field.
         inside: [n] alpha_E, the part of alpha inside the region.
-        depth: [n] mean distance along the ray within the region, scene units.
+        depth: [n] mean distance along the ray within the region, scene units; 0 if the ray ends in the background.
         through: [n] sum(w t) over the whole ray, without its opaque background.
         transition: [n] lambda, 1 at the region's border with its surroundings, 0 far from it.
         edges: [n, 2] geometry edges zeta >= 0 to the pixel below and to the pixel on the right.
+
+    Where a ray ends in the opaque background of a capture, `along`, `depth` and `edges` are 0.
     """
 
     view: int
@@ -81,6 +83,7 @@ JITTERS = 512  # a jitter is this fraction of a view's depth range
 OPAQUE = 0.5  # least alpha, of the field and of the photo, of an edited pixel
 SURE = 0.98  # least weight of a pixel whose depth counts for edges
 EVERYWHERE = np.ones((1, 1, 1), bool)  # the whole cube, as one marked cell
+MOSTLY = 0.5  # fraction of the alpha inside that lies before the background, up to which the ray ends there
 TOUCHING = 0.5  # fraction of a ray's opacity inside the growing grid from which the ray ends there
 
 
@@ -94,7 +97,10 @@ class Extraction:
 
 @dataclass(frozen=True)
 class Seen:
-    """A view of the region and, for all pixels, [h, w]: alpha of the field, alpha of the region, depth (0: none)."""
+    """A view of the region and, for all pixels, [h, w]: alpha of the field, alpha of the region, depth (0: none).
+
+    There is no depth where the region is not shown, or where the ray ends in the background.
+    """
 
     edit: EditView | None
     alpha: np.ndarray
@@ -106,19 +112,29 @@ def ends_of_view(field: RadianceField, camera: Camera, grids: list[np.ndarray], 
     """Return, for each grid of marked cells, [pixels, 6]: alpha, alpha inside, depth along the ray (scene units), x.
 
     Depth and x are weighted means over the samples inside. LAENeRF uses sums over all samples of the ray, not divided
-    by alpha, which end before the surface if the ray is not fully opaque.
+    by alpha, which end before the surface if the ray is not fully opaque. The depth leaves out the opaque background,
+    and is 0 if that is at least half of the alpha inside.
     """
     flat = [np.ascontiguousarray(marked).reshape(-1) for marked in grids]
     outs = [np.empty((camera.height * camera.width, 6), np.float32) for _ in grids]
     for part, s in march_view(field, camera, threads):
-        # For whole rays the opaque background has no distance, as in the depth that they are compared to.
+        # The opaque background has no distance: its t only says how far rays are marched.
         foreground = np.where(s.deltas > 0, s.weights, np.float32(0))
         for marked, own, out in zip(grids, flat, outs):
             weights = foreground if marked is EVERYWHERE else s.weights
             ends_inside(own, marked.shape[0], s.shading_points(weights), s.t, threads, out[part])
-    for out in outs:
-        out[:, 2:] /= np.maximum(out[:, 1:2], 1e-8)  # sums to means; stays 0 where nothing is inside
+            _to_means(out[part])
+            if field.opaque_background and marked is not EVERYWHERE:
+                before = np.empty_like(out[part])
+                ends_inside(own, marked.shape[0], s.shading_points(foreground), s.t, threads, before)
+                _to_means(before)
+                out[part, 2] = np.where(before[:, 1] > MOSTLY * out[part, 1], before[:, 2], 0)
     return outs
+
+
+def _to_means(ends: np.ndarray) -> None:
+    """Divide sums over the samples inside by their weight, in place; they stay 0 where nothing is inside."""
+    ends[:, 2:] /= np.maximum(ends[:, 1:2], 1e-8)
 
 
 def seen_of_view(
@@ -172,17 +188,26 @@ def seen_of_view(
         depth=depth[pixels],
         through=(rays[pixels, 1] * rays[pixels, 2]).astype(np.float32),
         transition=_transition(field, x, around[0], settings.reach) if fading else np.zeros(len(x), np.float32),
-        edges=_edges(depth.reshape(shape), weight, colors)[pixels],
+        edges=_edges(whole.depth, np.where(whole.depth > 0, weight, 0), colors)[pixels],
     )
     return Seen(edit, whole.alpha, whole.alpha_edit, whole.depth)
 
 
 def _along(field: RadianceField, origins: np.ndarray, directions: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return the change of x [n, 3], in the cube, over one jitter: the view's depth range divided by JITTERS."""
+    """Return the change of x [n, 3], in the cube, over one jitter: the view's depth range divided by JITTERS.
+
+    0 where the depth is 0: the ray ends in the background.
+    """
     # Central difference: the warp is nonlinear, so the step in the cube depends on the depth.
-    half = (depth.max() - depth.min()) / (2 * JITTERS)
+    half = _range(depth) / (2 * JITTERS)
     ends = [field.space.warp(origins + directions * (depth + side)[:, None]) for side in (-half, half)]
-    return (ends[1] - ends[0]).astype(np.float32)
+    return np.where(depth[:, None] > 0, ends[1] - ends[0], 0).astype(np.float32)
+
+
+def _range(depth: np.ndarray) -> float:
+    """Return the range of a view's depths, without those that are 0: nothing is there."""
+    there = depth[depth > 0]
+    return float(there.max() - there.min()) if len(there) else 0.0
 
 
 def _transition(field: RadianceField, x: np.ndarray, ends: np.ndarray, reach: float) -> np.ndarray:
@@ -216,8 +241,7 @@ def _edges(depth: np.ndarray, weight: np.ndarray, colors: np.ndarray) -> np.ndar
     supplementary eq. 1).
     """
     sure = np.where(weight < SURE, 0, weight)
-    shown = depth > 0
-    spread = max(float(depth[shown].max() - depth[shown].min()), 1e-6) if shown.any() else 1.0
+    spread = max(_range(depth), 1e-6)
     zeta = np.zeros((*depth.shape, 2), np.float32)
     for axis in (0, 1):
         d, c, w = (np.moveaxis(values, axis, 0) for values in (depth, colors, sure))

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.editing.extraction import EVERYWHERE
+from stylerf.editing.extraction import EVERYWHERE, MOSTLY
 from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.memory import in_parts
 from stylerf.fields.gpu.parts import marked_cells
@@ -14,6 +14,7 @@ from stylerf.fields.marching import SAMPLES_PER_RAY
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.gpu import launch
+from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.rendering.view_gpu import rays_of
 
 RAYS_AT_ONCE = 1 << 17
@@ -44,10 +45,19 @@ class GpuRayEnds:
             samples = self._field.march(rays, SAMPLES_PER_RAY, 1e-3, None)
             foreground = replace(samples, weights=torch.where(samples.deltas > 0, samples.weights, 0.0))
             for grid, own in zip(grids, marked):
-                ends = launch.ends_inside(own, grid.shape[0], foreground if grid is EVERYWHERE else samples)
-                ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
+                ends = _means_inside(own, grid.shape[0], foreground if grid is EVERYWHERE else samples)
+                if self._field.opaque_background and grid is not EVERYWHERE:
+                    before = _means_inside(own, grid.shape[0], foreground)
+                    ends[:, 2] = torch.where(before[:, 1] > MOSTLY * ends[:, 1], before[:, 2], 0.0)
                 found.append(ends)
             return found
 
         parts = in_parts(count, self.rays_at_once, part)
         return [torch.cat(found).cpu().numpy() for found in zip(*parts)]
+
+
+def _means_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
+    """launch.ends_inside with means in place of the sums of w t and w x; 0 where nothing is inside."""
+    ends = launch.ends_inside(marked, cells, samples)
+    ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
+    return ends

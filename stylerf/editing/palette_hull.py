@@ -63,11 +63,12 @@ def histogram(colors: np.ndarray, bits: int) -> tuple[np.ndarray, np.ndarray]:
 def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> ExtractedPalette:
     """Extract a palette from colors [n, 3], 0..1.
 
-    Colors without volume (grays, a single ramp) have no hull; their palette comes from k-means.
+    Colors without volume (grays, a single ramp) have no hull; their palette comes from k-means, or from flat_palette.
 
     Args:
         colors: [n, 3].
-        size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR.
+        size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR, of colors without volume
+            one to three may do.
     """
     if len(colors) == 0 or not np.isfinite(colors).all() or 0 < size < FEWEST or size < 0:
         raise InvalidValue(f"cannot extract a palette of {size} colors (0, or at least 4) from {len(colors)} colors")
@@ -77,7 +78,10 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
     try:
         palette = simplified(frequent, size)
     except (QhullError, ValueError):
-        palette = clustered_palette(generator, fine, size or FEWEST).astype(np.float64)
+        if size:
+            palette = clustered_palette(generator, fine, size).astype(np.float64)
+        else:
+            palette = flat_palette(frequent, fine, masses)
     mixes = mixing_weights(fine, palette)
     error = np.sqrt((masses[:, None] * np.square(mixes @ palette - fine)).sum() / 3)
     return ExtractedPalette(palette.astype(np.float32), _table(fine, mixes), float(error))
@@ -96,6 +100,26 @@ def simplified(colors: np.ndarray, size: int) -> np.ndarray:
             break
         corners = fewer
     return np.clip(corners, 0, 1)
+
+
+def flat_palette(frequent: np.ndarray, colors: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """Return a palette [M, 3] for colors without volume: the ends of their longest axis, and others if necessary.
+
+    Colors that add most to the error join, one by one, until it is at most ERROR.
+
+    Args:
+        frequent: [k, 3], the ends are two of them, or one if all are the same.
+        colors: [n, 3], of which the error is computed.
+        masses: [n], their shares.
+    """
+    centered = frequent - frequent.mean(0)
+    along = centered @ np.linalg.svd(centered, full_matrices=False)[2][0]
+    palette = np.unique(frequent[[along.argmin(), along.argmax()]], axis=0)
+    while True:
+        squares = masses * np.square(mixing_weights(colors, palette) @ palette - colors).sum(1)
+        if np.sqrt(squares.sum() / 3) <= ERROR:
+            return palette
+        palette = np.concatenate([palette, colors[squares.argmax()][None]])
 
 
 def collapsed(corners: np.ndarray) -> np.ndarray | None:

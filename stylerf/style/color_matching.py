@@ -17,6 +17,7 @@ from stylerf.srgb import LUMA
 from stylerf.style.transparency import shown_colors
 
 VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)
+SAMPLE = 200_000  # pixels that stand for all
 NOISE = (2 / 255) ** 2  # variance of the content below which it is noise of 8-bit photos
 
 
@@ -138,28 +139,51 @@ def strokes_in(style_image: Tensor, least: float) -> float:
 
 
 def pixels_of(
-    images: Iterable[Tensor], most: int = 200_000, seed: int = 0, count: int | None = None
+    images: Iterable[Tensor], most: int = SAMPLE, seed: int = 0, count: int | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Sample colors [n, 3] and weights [n] of a set of images, the same fraction of pixels of each.
+    """Sample colors [n, 3] and weights [n] of a set of images, the same fraction of each one's pixels that count.
 
     Args:
-        images: [3 or 4, h, w] each; a fourth channel is straight alpha, which becomes the weight. Iterated over once.
+        images: [3 or 4, h, w] each; a fourth channel is straight alpha, which becomes the weight. Pixels of alpha 0 do
+            not count. Iterated over once.
         most: Approximate limit of the sample.
         seed: Of the sample.
-        count: Pixels of all images together; needed for an iterator.
+        count: Pixels that count of all images together; needed for an iterator.
     """
     if count is None:
-        count = sum(image.shape[1] * image.shape[2] for image in images)
+        count = sum(len(_counting(image)) for image in images)
     generator = torch.Generator().manual_seed(seed)
-    colors, weights = [], []
+    rows = []
     for image in images:
-        flat = image.flatten(1).T.cpu()
-        if count > most:
-            take = max(1, round(flat.shape[0] * most / count))
-            flat = flat[torch.randint(flat.shape[0], (take,), generator=generator)]
-        colors.append(flat[:, :3])
-        weights.append(flat[:, 3] if flat.shape[1] == 4 else torch.ones_like(flat[:, 0]))
-    return torch.cat(colors), torch.cat(weights)
+        flat = _counting(image)
+        if count > most and len(flat):
+            flat = _drawn(flat, max(1, round(len(flat) * most / count)), generator)
+        rows.append(flat)
+    sample = torch.cat(rows)
+    return sample[:, :3], sample[:, 3]
+
+
+def sample_of(image: Tensor, most: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Sample colors [n, 3] and weights [n], n <= most, of one image; weights sum to about those of all its pixels.
+
+    So samples of images that are seen one by one can be joined. Arguments as for pixels_of.
+    """
+    flat = _counting(image)
+    sample = _drawn(flat, most, generator) if len(flat) > most else flat
+    return sample[:, :3], sample[:, 3] * (len(flat) / max(len(sample), 1))
+
+
+def _counting(image: Tensor) -> Tensor:
+    """Return (color, weight) [n, 4] of an image's pixels of positive weight; see pixels_of."""
+    flat = image.flatten(1).T.cpu()
+    if flat.shape[1] == 3:
+        return torch.cat([flat, torch.ones_like(flat[:, :1])], 1)
+    return flat[flat[:, 3] > 0]
+
+
+def _drawn(rows: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Return `count` random rows, with repetition."""
+    return rows[torch.randint(len(rows), (count,), generator=generator)]
 
 
 def _on_cpu(values: Tensor | None) -> Tensor | None:

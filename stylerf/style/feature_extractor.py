@@ -233,12 +233,3 @@ def fitted(image: Tensor, long_side: int) -> Tensor:
 def feature_size(height: int, width: int, scale: float) -> tuple[int, int]:
     """Return height and width of the image that features are extracted from; ARF uses a scale of 0.5."""
     return max(1, round(height * scale)), max(1, round(width * scale))
-
-
-def style_picture(style_image: Tensor, content_height: int, content_width: int, scale: float = 0.5) -> Tensor:
-    """Scale a style image [3, h, w] to the content's longer side times `scale` (ARF).
-
-    With the scale of the content's features, strokes have the size they would have if the style image covered the
-    view; a larger scale gives larger strokes.
-    """
-    return fitted(style_image, max(1, round(max(content_height, content_width) * scale)))

@@ -28,7 +28,7 @@ from stylerf.style.style_loss import (
     weighted_sum,
 )
 
-COARSE_PIXELS = 16  # side of a coarse cell, pixels (Ref-NPR: 1/16 of the image)
+COARSE_PIXELS = 16  # longest side of a coarse cell, pixels, if features are as fine (Ref-NPR: 1/16 of the image)
 UNRELATED = 0.6  # cosine distance over which a coarse match is ignored (Ref-NPR)
 MOST_ROWS = 16384  # reference features kept for matching
 
@@ -153,7 +153,7 @@ class ReferenceObjective(FeatureLoss):
     def _coarse_features(self, photo: Tensor, window: Window) -> tuple[Tensor, tuple[int, int]]:
         """Return features [cells, c] of the coarse extractor's deepest block, and the grid's (rows, columns).
 
-        Cells are at least COARSE_PIXELS wide.
+        Cells are as few as are at most COARSE_PIXELS wide, but no more than feature positions.
         """
         part = photo[:, *window]
         blocks = by_block(self.coarse.layers, features(self.coarse, part[None], self.half))

@@ -198,6 +198,11 @@ class FeatureLoss:
         return by_block(self.extractor.layers, features(self.extractor, small[None], self.half))
 
 
+def scaled_style(style_image: Tensor, size: tuple[int, int], scale: float, style_scale: float, stroke: float) -> Tensor:
+    """Scale a style image [3 or 4, h, w] to content images of a height and width; see StyleObjective."""
+    return stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke)
+
+
 class StyleObjective(FeatureLoss):
     """The loss of an image [3, h, w] for a style image whose features are computed once.
 
@@ -242,7 +247,7 @@ class StyleObjective(FeatureLoss):
     ) -> None:
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
-        picture = stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke).to(self.device)
+        picture = scaled_style(style_image, size, scale, style_scale, stroke).to(self.device)
         found = style_features(extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)
         self.style: dict[str, StyleRows] = {}
         # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).

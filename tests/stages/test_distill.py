@@ -1,5 +1,7 @@
 """What distill paints into a photo, and which pixels of it a fine-tuning is reported to learn from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,6 +47,11 @@ def test_a_pixel_is_painted_as_far_as_the_region_covers_it(channels, weight, sha
     wanted = photo.reshape(-1, channels).copy()
     wanted[[5, 60], :3] = share * GREEN + (1 - share) * wanted[[5, 60], :3]
     assert np.abs(found.reshape(-1, channels) / 255 - wanted).max() < 0.51 / 255
+
+
+def test_rays_that_end_in_the_background_are_held_to_no_depth():
+    view = replace(view_of([5, 60, 70], 1.0, 0.6), depth=np.float32([2, 0, 3]), through=np.float32([1.5, 1e-4, 3]))
+    assert distill.held_depth(view).tolist() == [1.5, 0, 3]
 
 
 def test_pixels_of_an_earlier_edit_train_the_whole_field_only(tmp_path):

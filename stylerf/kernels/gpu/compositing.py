@@ -212,7 +212,7 @@ def tuning_loss_kernel(
     BLOCK: tl.constexpr,
 ):  # fmt: skip
     """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over gray `level`, times
-    scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2.
+    scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2, unless the depth is 0.
 
     sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that do not fit.
     """
@@ -232,9 +232,10 @@ def tuning_loss_kernel(
         of_alpha -= difference * scale * level
         tl.store(gradients + offset(r, 5, a), difference * scale, mask=valid)
     tl.store(gradients + offset(r, 5, 3), of_alpha, mask=valid)
-    known = tl.maximum(tl.load(depth + r, mask=own & inside, other=1.0), 1e-6)
+    wanted_depth = tl.load(depth + r, mask=own & inside, other=0.0)
+    known = tl.maximum(wanted_depth, 1e-6)
     off = tl.load(out + offset(r, 5, 4), mask=own & inside, other=0.0) / known - 1.0
-    off = tl.where(own & inside & (depth_scale > 0.0), off, 0.0)
+    off = tl.where((wanted_depth > 0.0) & (depth_scale > 0.0), off, 0.0)
     tl.store(gradients + offset(r, 5, 4), depth_scale * off / known, mask=valid)
     tl.atomic_add(sums, tl.sum(tl.where(inside, 0.0, error), axis=0), sem="relaxed")
     tl.atomic_add(sums + 1, tl.sum(tl.where(inside, error, 0.0), axis=0), sem="relaxed")

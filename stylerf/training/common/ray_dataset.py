@@ -182,7 +182,9 @@ class RayDataset:
         lit_share: float = 0.9,
         part: slice = slice(None),
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(views, row-major pixels) [n] of the rays of draw()."""
+        """(views, row-major pixels) [n] of the rays of draw(); InvalidValue unless `among` is 1 to all views."""
+        if among is not None and not 1 <= among <= len(self.cameras):
+            raise InvalidValue(f"rays of the first {among} of {len(self.cameras)} views cannot be drawn")
         total = len(self) if among is None else int(self._ends[among - 1])
         # Drawn whole and cut to `part` last: every process consumes the same random stream.
         index = generator.integers(0, total, count)

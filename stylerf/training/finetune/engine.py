@@ -53,7 +53,7 @@ class FineTuneBatch:
 
     Attributes:
         views, pixels, jitter: [n]; pixels are row-major.
-        depth: [m] of the first m pixels, the edited ones.
+        depth: [m] of the first m pixels, the edited ones; 0: not held.
         inside: Number of edited pixels over all processes.
         smoothness: Weight of the total variation; 0: none in this step.
     """
@@ -118,7 +118,7 @@ class CpuFineTuneEngine:
         if edited and moving and s.depth_weight > 0:
             known = np.maximum(batch.depth, np.float32(1e-6))
             # d/dz of weight mean((z / z0 - 1)^2) = 2 weight (z / z0 - 1) / (z0 n); relative errors need no unit.
-            off = out[:edited, 4] / known - 1
+            off = np.where(batch.depth > 0, out[:edited, 4] / known - 1, np.float32(0))
             gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
             depth_error = float(np.square(off).sum())
         density_to = self.density_adam.gradients if moving else None

@@ -41,7 +41,7 @@ class EditedPixels:
 
     Attributes:
         views, pixels: [n], index of the view and row-major pixel.
-        depth: [n], sum(w t) of their rays before the edit, scene units.
+        depth: [n], sum(w t) of their rays before the edit, scene units; 0 for rays that end in the background.
         beside: (views, pixels) around them, which must keep their colors.
     """
 

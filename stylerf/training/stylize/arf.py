@@ -25,6 +25,7 @@ from stylerf.style.style_loss import (
     TransportObjective,
     cell_colors,
     luma_gradient,
+    scaled_style,
     window_of,
 )
 from stylerf.training.common.bounded_cache import BoundedCache
@@ -43,6 +44,9 @@ class ViewLoss:
 
     stride: pixels between positions of the deepest features that the method looks at; the extractor's if not given.
     around: feature positions beside a silhouette that count too.
+
+    Raises:
+        InvalidValue: The style image is so elongated that, at the views' size, features see nothing of it.
     """
 
     def __init__(
@@ -55,6 +59,8 @@ class ViewLoss:
         self.scene, self.extractor, self.around = scene, extractor, around
         self.device = extractor.input_scale.device
         s = scene.settings
+        self._size = scene.cameras[0].height, scene.cameras[0].width
+        self._check_style_image()
         # Two feature positions at least, also at half size: networks refuse smaller images.
         smallest = math.ceil(2 * (stride or extractor.stride) / s.feature_scale * (2 if s.coarse > 0 else 1))
         self.windows = [
@@ -81,13 +87,26 @@ class ViewLoss:
         scale = s.feature_scale / 2 if scene.budget.progress < s.coarse else s.feature_scale
         if self._objective is None or self._objective.scale != scale:
             self._content = self._new_cache()  # at another scale
-            size = (scene.cameras[0].height, scene.cameras[0].width)
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
             self._objective = OBJECTIVES[s.loss](
-                self.extractor, style_image, size, *options, self.around, s.diversity, s.stroke, s.rotations,
+                self.extractor, style_image, self._size, *options, self.around, s.diversity, s.stroke, s.rotations,
                 s.keep_colors,
             )  # fmt: skip
         return self._objective
+
+    def _check_style_image(self) -> None:
+        s, style_image = self.scene.settings, self.scene.style_image
+        if style_image is None:
+            return
+        scale = s.feature_scale / 2 if s.coarse > 0 else s.feature_scale
+        height, width = scaled_style(style_image, self._size, scale, s.style_scale, s.stroke).shape[1:]
+        least = 2 * self.extractor.stride
+        if min(height, width) < least:
+            raise InvalidValue(
+                f"the style image is too elongated: of {style_image.shape[2]}x{style_image.shape[1]} pixels, at the "
+                f"size of the views {width}x{height} are left, and {self.extractor.layers[-1]} needs {least} a side; "
+                "crop it"
+            )
 
     def content(self, view: int) -> Content | None:
         """Content of the view's photo; None if no weight asks for it."""

@@ -55,6 +55,8 @@ class Surfaces(Geometry, Protocol):
 class FixedGeometry:
     """Surfaces on the CPU: every view is marched once and its samples are kept, up to `memory` bytes.
 
+    Those of the last view are kept in any case: a step asks for a view's surface several times.
+
     weight_threshold: fraction of a ray's largest weight below which a sample is left out.
     """
 
@@ -68,6 +70,7 @@ class FixedGeometry:
     ) -> None:
         self.field, self.cameras, self.weight_threshold, self.threads = field, cameras, weight_threshold, threads
         self._surfaces = BoundedCache(self._marched, lambda surface: surface.bytes, len(cameras), memory)
+        self._last: tuple[int, PackedSurface] | None = None
 
     def new_adam(self, gradient_clip: float = 0.0) -> Adam:
         return Adam(self.field.color.values, self.field.color.groups(), self.threads, gradient_clip)
@@ -78,7 +81,12 @@ class FixedGeometry:
         return surface_of(self.field, self.cameras[view], self.weight_threshold, self.threads)
 
     def surface(self, view: int) -> PackedSurface:
-        return self._surfaces[view]
+        if self._last is not None and self._last[0] == view:
+            return self._last[1]
+        self._last = None  # before the march: never two surfaces beside the cache
+        found = self._surfaces[view]
+        self._last = view, found
+        return found
 
     def alpha(self, view: int) -> np.ndarray:
         return self.surface(view).alpha

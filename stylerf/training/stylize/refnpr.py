@@ -86,7 +86,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         matching_extractor, coarse_extractor: See style/reference_features.ReferenceObjective.
 
     Raises:
-        InvalidValue: The field is displaced, or a reference shows nothing of the region.
+        InvalidValue: The field is displaced, or a reference shows nothing of the region or object.
     """
 
     def __init__(
@@ -116,6 +116,8 @@ class RefNpr(StyleMethod[RefNprSettings]):
         for view, image in references.items():
             if view not in scene.shown:
                 raise InvalidValue(f"view {scene.cameras[view].name}, a reference, shows nothing of the region")
+            if not scene.of_region and scene.coverage(view).max() <= EMPTY:
+                raise InvalidValue(f"view {scene.cameras[view].name}, a reference, shows nothing of the object")
             if image is not None:
                 self._images[view] = self._within_coverage(view, image)
         views = len(scene.cameras)

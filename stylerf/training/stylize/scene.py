@@ -23,10 +23,12 @@ from stylerf.geometry.cameras import Camera, evenly_spaced
 from stylerf.kernels.cpu.regions import weights_inside
 from stylerf.rendering.ray_registration import SOLID
 from stylerf.style.color_matching import (
+    SAMPLE,
     in_brightness_of,
     in_colors_of,
     match_colors,
     pixels_of,
+    sample_of,
     spread_at_least,
     spread_at_most,
     strokes_in,
@@ -72,10 +74,11 @@ class ObjectPhotos:
     def _beside(self, view: int) -> np.ndarray | np.float32:
         return self.photos[view] if self.background is None else self.background
 
-    def colors(self, seed: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A sample of their colors [n, 3] and weights [n]. count: number of pixels of all photos."""
-        straight = (straight_rgba(*self(view)) for view in range(len(self.photos)))
-        return pixels_of(straight, seed=seed, count=count)
+    def colors(self, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """A sample of the colors [n, 3] of covered pixels, and their weights [n]."""
+        views = range(len(self.photos))
+        covered = sum(int((self.alpha(view) > 0).sum()) for view in views)
+        return pixels_of((straight_rgba(*self(view)) for view in views), seed=seed, count=covered)
 
     def mapped(self, view: int, color_map: ColorMap) -> np.ndarray:
         """A photo with the object's colors mapped, [h, w, 3]; the background stays."""
@@ -97,18 +100,22 @@ def rendered_match(
     pictures: Iterable[tuple[np.ndarray, np.ndarray]],  # premultiplied rgb [h, w, 3], alpha [h, w]
     style_image: torch.Tensor,
     seed: int,
+    count: int = 1,
 ) -> ColorMap:
-    """The map from renders' colors to the style image's (ARF's last step).
+    """The map from renders' colors to the style image's (ARF's last step). count: number of pictures.
 
     Pixels that are half covered or less do not count, unless there are no others: in haze, or of rods thinner than a
-    pixel.
+    pixel. Of each picture only a sample is kept.
     """
-    seen = [straight_rgba(*picture) for picture in pictures]
-    # Dividing by a small alpha amplifies noise, which would count as colors.
-    if any(bool((rgba[3] > SOLID).any()) for rgba in seen):
-        for rgba in seen:
-            rgba[3][rgba[3] <= SOLID] = 0
-    colors, weights = pixels_of(seen, seed=seed)
+    generator = torch.Generator().manual_seed(seed)
+    solid: list[tuple[Tensor, Tensor]] = []
+    hazy: list[tuple[Tensor, Tensor]] = []
+    for rgb, alpha in pictures:
+        opaque = bool((alpha > SOLID).any())
+        # Dividing by a small alpha amplifies noise, which would count as colors.
+        rgba = straight_rgba(rgb, alpha, SOLID if opaque else 0)
+        (solid if opaque else hazy).append(sample_of(rgba, round(SAMPLE / count), generator))
+    colors, weights = (torch.cat(parts) for parts in zip(*(solid or hazy), strict=True))
     return match_colors(colors.clamp(0, 1), style_image.flatten(1).T, weights)
 
 
@@ -319,8 +326,7 @@ class StyledScene(Generic[Settings_co]):
             return self._region_masks[view] if self.of_region else self.fixed.alpha(view)
 
         of_object = ObjectPhotos(photos, alpha, None if self.of_region else self.background)
-        pixels = sum(camera.width * camera.height for camera in self.cameras)
-        colors, weights = of_object.colors(p.seed, pixels)
+        colors, weights = of_object.colors(p.seed)
         if isinstance(s, ImageStyleSettings) and s.keep_colors and self.style_image is not None:
             self.style_colors = shown_colors(in_colors_of(self.style_image, colors, weights))
             self.style_image = in_brightness_of(self.style_image, colors, weights)
@@ -349,11 +355,12 @@ class StyledScene(Generic[Settings_co]):
         """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
         if self.style_colors is None:
             return None
+        views = evenly_spaced(len(self.cameras), MATCHED_VIEWS)
         images = (
             (self.render(view).reshape(*self.geometry.alpha(view).shape, 3), self.geometry.alpha(view))
-            for view in evenly_spaced(len(self.cameras), MATCHED_VIEWS)
+            for view in views
         )
-        return rendered_match(images, self.style_colors, self.problem.seed)
+        return rendered_match(images, self.style_colors, self.problem.seed, len(views))
 
     # -- learning ---------------------------------------------------------------------------------------------------
 

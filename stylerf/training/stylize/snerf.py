@@ -7,6 +7,7 @@ renders start the next round's images. The extractor's graph and a field's sampl
 A step optimizes one image (`image_steps` evaluations of the loss), or is one step of the field. Views take turns across
 rounds: if a round is too short for all, the others keep their image; if there is time for more, images are optimized
 further, in ever smaller steps. With a budget of steps, images take at most half of them, and each view one per round.
+With a budget of time, an image that takes longer than what its round has left is followed by the field all the same.
 """
 
 import time
@@ -29,14 +30,26 @@ class Snerf(StyleMethod[SnerfSettings]):
         self.loss = ViewLoss(scene, extractor)
         self.images: dict[int, np.ndarray] = {}
         self._visits: dict[int, tuple[int, int]] = {}  # by view: round in which its image began, visits in that round
+        self._last_image = 0, -1  # round and step of the last image step
+        self._evaluation = 0.0  # seconds of an evaluation of the images' loss, as last measured
 
     @property
     def optimizes_images(self) -> bool:
         """Whether the next step is one of images."""
         s, progress, views = self.scene.settings, self.scene.budget.progress, len(self.scene.cameras)
-        # `% 1`: the place within the round. The field needs at least one image to learn from.
+        if not self.images:
+            return True  # the field needs at least one to learn from
         share = min(s.image_share, 0.5, views * s.rounds / s.steps) if s.steps else s.image_share
-        return progress * s.rounds % 1.0 < share or not self.images
+        place = progress * s.rounds
+        if place % 1.0 >= share:
+            return False
+        # An image can take longer than its round: then the field has its turn before the next round's images.
+        in_round, at = self._last_image
+        if int(place) > in_round and self.scene.state.step == at + 1:
+            return False
+        # Nor may a single evaluation take the field's share of the last round.
+        reserved = (1 - s.image_share) * s.seconds / s.rounds
+        return s.steps > 0 or (1 - progress) * s.seconds >= self._evaluation + reserved
 
     @property
     def seconds_left_for_images(self) -> float:
@@ -58,14 +71,19 @@ class Snerf(StyleMethod[SnerfSettings]):
         begun, visits = self._visits.get(view, (this_round, 0))
         visits = visits if begun == this_round else 0
         rgb = self.images[view].astype(np.float32) / 255 if visits else scene.render_over(view)
-        # However slow the machine, the field gets its share of the round.
         end = time.perf_counter() + self.seconds_left_for_images
-        image, parts = painted(
-            self.loss.to_device(rgb), self.loss.coverage(view), float(scene.background), self.loss.of_view(view),
-            s.image_steps, s.image_rate / (1 + visits), lambda: not s.steps and time.perf_counter() > end,
-        )  # fmt: skip
+        given = self.loss.to_device(rgb), self.loss.coverage(view), float(scene.background), self.loss.of_view(view)
+        times = [time.perf_counter()]
+
+        def enough() -> bool:
+            times.append(time.perf_counter())
+            return not s.steps and times[-1] > end
+
+        image, parts = painted(*given, s.image_steps, s.image_rate / (1 + visits), enough)
+        self._evaluation = float(np.diff(times).min())  # others may have compiled
         # Rounded as the checkpoint holds it, so that a resumed run continues from the same image.
         self.images[view], self._visits[view] = np.rint(image * 255).astype(np.uint8), (this_round, visits + 1)
+        self._last_image = this_round, scene.state.step
         counts["pictures"] = made + 1
         return parts
 
@@ -82,8 +100,11 @@ class Snerf(StyleMethod[SnerfSettings]):
 
     def arrays(self) -> dict[str, np.ndarray]:
         arrays = {f"target.{view}": image.copy() for view, image in self.images.items()}
+        arrays["last_image"] = np.asarray(self._last_image)
         return arrays | {f"visits.{view}": np.asarray(visits) for view, visits in self._visits.items()}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         self.images = {int(k[7:]): v.copy() for k, v in arrays.items() if k.startswith("target.")}
         self._visits = {int(k[7:]): (int(v[0]), int(v[1])) for k, v in arrays.items() if k.startswith("visits.")}
+        in_round, at = arrays.get("last_image", (0, -1))
+        self._last_image = int(in_round), int(at)

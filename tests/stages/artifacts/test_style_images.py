@@ -68,6 +68,13 @@ def test_colors_over_the_fields_own_look_as_the_photos_do_from_the_start(options
     assert settings_of(config, 300, True, region=True).refit_steps == (1 if matched == "none" else 70)
 
 
+@pytest.mark.parametrize(("height", "width"), [(40, 1), (1, 40), (1, 1)])
+def test_a_style_image_of_a_line_is_refused_by_its_size(tmp_path, height, width):
+    write_png(tmp_path / "line.png", np.full((height, width, 3), 90, np.uint8))
+    with pytest.raises(BadInput, match=f"line.png is {width}x{height}; a style image of at least 16 pixels"):
+        read_style_image(tmp_path / "line.png")
+
+
 def test_the_digest_is_of_views_and_content(tmp_path):
     for name, level in (("one.png", 10), ("other.png", 20)):
         write_png(tmp_path / name, np.full((20, 20, 3), level, np.uint8))

@@ -123,3 +123,9 @@ def test_matching_is_refused_where_no_features_are_matched(method, options):
     with pytest.raises(ValueError, match="--match-by and --diversity have no effect"):
         CONFIGS[method](**options)
     CONFIGS[method](**options | {"match_by": "transport", "diversity": 0.5})
+
+
+def test_a_budget_of_steps_has_an_image_and_a_step_of_the_field_for_every_round():
+    with pytest.raises(ValueError, match="give at least 6 steps, or fewer --rounds"):
+        CONFIGS["snerf"](style="x", budget="5")
+    CONFIGS["snerf"](style="x", budget="5", rounds=2)

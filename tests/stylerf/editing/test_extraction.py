@@ -10,8 +10,8 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import alpha_inside, render_rays
-from tests.stylerf.small import density, vm_color
-from tests.stylerf.training.scenes import SIDE, box_photo, dome
+from tests.stylerf.small import density, vm_color, wall_in_front
+from tests.stylerf.training.scenes import SIDE, box_photo, dome, masked_wall
 
 CELLS = 16
 SPACE = SpaceWarp.box([-0.8] * 3, [0.8] * 3)
@@ -95,6 +95,29 @@ def test_the_depth_of_a_whole_ray_excludes_the_background():
     out = render_rays(field, Rays.of(*camera.rays(seen.pixels), space.near), threads=1).out
     np.testing.assert_allclose(seen.through, out[:, 4], rtol=1e-3)
     assert seen.weight.min() > 0.99  # opaque by the background
+
+
+def test_rays_that_end_in_the_background_have_no_depth_and_leave_that_of_others_alone():
+    """A wall with a hole, and a region that holds both it and what lies infinitely far behind the hole."""
+    field, camera = wall_in_front(1e-4), masked_wall(0)[1].cameras[0]
+    solid = (field.occupancy.distances == 0).reshape((field.occupancy.cells,) * 3)
+    solid[40:56, 40:56] = False
+    field.occupancy.set_occupied(solid.ravel())
+    photo = np.random.default_rng(0).random((camera.height, camera.width, 3)).astype(np.float32)
+    everything = np.ones((CELLS,) * 3, bool)
+    near = everything.copy()
+    near[..., -1] = False
+    seen, wall = (
+        seen_of_view(field, camera, photo, Region(cells, np.zeros_like(cells)), Extraction(), 0, 1).edit
+        for cells in (everything, near)
+    )
+    there = np.isin(seen.pixels, wall.pixels)
+    assert len(seen) == camera.height * camera.width > there.sum() > 100
+    for name in ("along", "depth", "edges"):
+        assert not getattr(seen, name)[~there].any(), name
+        np.testing.assert_array_equal(getattr(seen, name)[there], getattr(wall, name), err_msg=name)
+    assert seen.depth[there].max() < 5 and seen.edges.max() > 0.1
+    assert np.linalg.norm(seen.along, axis=1).max() < 0.01
 
 
 def test_targets_are_the_photo_where_it_shows_anything(seen):

@@ -140,6 +140,22 @@ def test_grays_have_a_palette_too():
 
 
 @pytest.mark.parametrize(
+    ("colors", "expected"),
+    [
+        (np.repeat(np.linspace(0, 1, 1000)[:, None], 3, 1), 2),
+        (np.full((1000, 3), 0.4), 1),
+        (np.repeat(CORNERS[:2], 500, 0), 2),
+        (mixes(4000, 7, CORNERS[:3]), 3),
+    ],
+    ids=["ramp", "one color", "two colors", "triangle"],
+)
+def test_colors_without_volume_get_as_few_as_leave_the_error(colors, expected):
+    found = extracted(colors, 0, np.random.default_rng(0))
+    assert found.error <= ERROR and expected <= len(found.palette) <= expected + (expected > 2)
+    np.testing.assert_allclose(found.guide.sum(-1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize(
     ("colors", "size"), [(np.ones((5, 3)), 3), (np.empty((0, 3)), 4), (np.full((2, 3), np.nan), 4)]
 )
 def test_what_has_no_palette_is_refused(colors, size):

@@ -79,6 +79,25 @@ def test_pixels_are_sampled_with_their_alpha():
     assert few.shape == (220, 3) and torch.equal(few, color_matching.pixels_of(images, most=220)[0])
 
 
+def test_samples_are_drawn_from_pixels_that_count_alone():
+    """An object seen by one view in four, in a hundredth of its pixels: its own pixels are sampled, as often each."""
+    images = [torch.zeros(4, 100, 100) for _ in range(4)]
+    images[2][:, 50:60, 20:30] = 1
+    found, weights = color_matching.pixels_of(images, most=50)
+    assert len(found) == len(weights) == 50 and weights.min() == found.min() == 1
+    images[0][3, :, 0:3] = 0.5  # three times as many pixels
+    found, weights = color_matching.pixels_of(iter(images), most=100, count=400)
+    assert (weights == 0.5).sum() == 75 and (weights == 1).sum() == 25
+
+
+def test_where_every_pixel_counts_alpha_changes_no_draw():
+    image = torch.rand(3, 30, 40, generator=torch.Generator().manual_seed(1))
+    opaque = torch.cat([image, torch.ones(1, 30, 40)])
+    plain, opaque = (color_matching.pixels_of([one], most=99)[0] for one in (image, opaque))
+    drawn = torch.randint(1200, (99,), generator=torch.Generator().manual_seed(0))
+    assert torch.equal(plain, image.flatten(1).T[drawn]) and torch.equal(opaque, plain)
+
+
 def test_nonsense_is_refused():
     for wrong in (torch.zeros(0, 3), torch.zeros(5, 4), torch.full((5, 3), torch.nan)):
         with pytest.raises(InvalidValue):

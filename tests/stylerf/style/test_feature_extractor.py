@@ -127,8 +127,8 @@ def test_halving_averages_and_stays_in_range():
 
 def test_long_sides_and_scale():
     painting = torch.rand(3, 640, 1024)
-    assert feature_extractor.style_picture(painting, 378, 504).shape == (3, 158, 252)
-    assert feature_extractor.style_picture(painting, 800, 400, 1.0).shape == (3, 500, 800)
+    assert feature_extractor.fitted(painting, 252).shape == (3, 158, 252)
+    assert feature_extractor.fitted(painting, 800).shape == (3, 500, 800)
     assert feature_extractor.fitted(torch.rand(3, 1, 900), 30).shape == (3, 1, 30)
     assert feature_extractor.feature_size(378, 505, 0.5) == (189, 252)
     with pytest.raises(InvalidValue):

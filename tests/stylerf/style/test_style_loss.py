@@ -6,7 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.style import style_loss
-from stylerf.style.feature_extractor import by_block, resized, style_picture
+from stylerf.style.feature_extractor import by_block, fitted, resized
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
 from stylerf.style.style_loss import (
     CELLS,
@@ -162,7 +162,7 @@ def blocks_of(trunk, image) -> list[np.ndarray]:
 def slow_parts(made: StyleObjective, image, photo, alpha=None) -> tuple[float, float, float]:
     """(style, content, variation): loops over positions and over all features of the painting."""
     small = [resized(i, HEIGHT // 2, WIDTH // 2) for i in (image, photo)]
-    painted = blocks_of(made.extractor, style_picture(picture(30, 40, 1).to(image), HEIGHT, WIDTH, 0.5))
+    painted = blocks_of(made.extractor, fitted(picture(30, 40, 1).to(image), max(HEIGHT, WIDTH) // 2))
     style_loss, content_loss = 0.0, 0.0
     for found, wanted, style in zip(*(blocks_of(made.extractor, i) for i in small), painted):
         h, w = found.shape[1:]
@@ -244,7 +244,7 @@ def test_the_diagonal_variation_is_the_mean_of_its_pixels():
 def test_gram_distance_is_relative_to_the_style_images_gram_matrix(masked):
     image, alpha = picture(HEIGHT, WIDTH, 2), object_alpha() if masked else None
     made = GramObjective(small_trunk(), picture(30, 40, 1), (HEIGHT, WIDTH), WEIGHTS)
-    painted = blocks_of(made.extractor, style_picture(picture(30, 40, 1), HEIGHT, WIDTH, 0.5))
+    painted = blocks_of(made.extractor, fitted(picture(30, 40, 1), max(HEIGHT, WIDTH) // 2))
     found, expected = blocks_of(made.extractor, resized(image, HEIGHT // 2, WIDTH // 2)), 0.0
     for seen, style in zip(found, painted):
         h, w = seen.shape[1:]

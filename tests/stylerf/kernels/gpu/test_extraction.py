@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from stylerf.editing.edit_grid import Region
-from stylerf.editing.extraction import Extraction, ends_of_view, seen_of_view
-from tests.stylerf.small import field_of, hash_color
+from stylerf.editing.extraction import EVERYWHERE, Extraction, ends_of_view, seen_of_view
+from tests.stylerf.small import SPACES, field_of, hash_color
 from tests.stylerf.training.scenes import AROUND, box_photo, dome
 
 CELLS = 8
@@ -44,6 +44,19 @@ def test_ends_of_rays_are_the_cpus_for_any_share_of_cells(walked):
     assert 0.1 < some[:, 1].max() and (some[:, 1] < whole[:, 1] - 0.1).any()
     np.testing.assert_allclose(whole[:, 1], whole[:, 0], atol=1e-6)
     assert not nothing[:, 1:].any() and (nothing[:, 0] == 0).any()  # and rays that meet nothing
+
+
+def test_a_background_has_no_depth_on_the_device_either(device):
+    from stylerf.editing.extraction_gpu import GpuRayEnds
+
+    field, camera = field_of(SPACES["contraction"], 3, hash_color(5), 1 / 8), dome(3, 2, 6)[1]
+    field.density.values[-1] = -5.0
+    grids = [np.ones((5,) * 3, bool), EVERYWHERE]
+    for ours, theirs in zip(GpuRayEnds(field, device)(camera, grids), ends_of_view(field, camera, grids, 1)):
+        # Far out, a rounding of x in the cube is a thousand times as much of t.
+        np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=3e-5)
+    depth = theirs[:, 2], ends_of_view(field, camera, grids[:1], 1)[0][:, 2]
+    assert (depth[1] == 0).any() and (depth[1] > 0).any() and depth[0].max() < 900
 
 
 def test_a_view_shows_the_same_of_the_region(walked):

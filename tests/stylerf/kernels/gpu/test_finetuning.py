@@ -89,6 +89,7 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
     generator, level = torch.Generator().manual_seed(1), 0.7
     out, wanted = (torch.rand(9, n, generator=generator) for n in (5, 4))
     depth = torch.rand(edited_rays, generator=generator) + 0.5
+    depth[1:2] = 0  # ends in the background: not held
     counts = torch.full((9,), 3, dtype=torch.int32)
     starts = 3 * torch.arange(9)
     ends = starts + 3
@@ -107,7 +108,8 @@ def test_the_loss_and_its_gradient_equal_autograds(edited_rays, depth_scale, dev
     shown = exact[:, :3] + (1 - exact[:, 3:4]) * level
     expected_colors = wanted[:, :3] * wanted[:, 3:] + (1 - wanted[:, 3:]) * level
     squares = (shown - expected_colors).square().sum(1) * ~lost
-    off = (exact[:edited_rays, 4] / depth - 1) * ~lost[:edited_rays]
+    held = (depth > 0) & ~lost[:edited_rays]
+    off = (exact[:edited_rays, 4] / depth.clamp(min=1e-6) - 1) * held
     off = off.square().sum() if depth_scale > 0 else off.sum() * 0
     (0.1 * squares.sum() + 0.5 * depth_scale * off).backward()
     close(found.cpu(), exact.grad, 1e-6)

@@ -65,3 +65,11 @@ def test_what_is_drawn_does_not_depend_on_where_the_photos_are(tmp_path):
 def test_bytes_that_are_not_the_cameras_are_refused():
     with pytest.raises(InvalidValue, match="bytes"):
         RayDataset(dome(2, 1, 8), Pixels(np.zeros(2 * 64 * 3 - 1, np.uint8), 3))
+
+
+@pytest.mark.parametrize("among", [0, -1, 3])
+def test_rays_are_drawn_among_views_that_there_are(among):
+    cameras = dome(2, 1)
+    bank = RayDataset(cameras, [box_photo(camera) for camera in cameras])
+    with pytest.raises(InvalidValue, match=f"rays of the first {among} of 2 views"):
+        bank.choose(4, np.random.default_rng(0), among)

@@ -78,6 +78,13 @@ def test_light_through_a_surface_of_a_capture_is_no_depth_error():
     assert made.step()["depth"] < 26 * 0.1**2
 
 
+def test_pixels_without_a_depth_are_held_to_none():
+    bank, pixels = masked_wall(0)[1], np.arange(200, 300)
+    edited = EditedPixels(np.zeros(100, np.int64), pixels, np.zeros(100, np.float32), (pixels[:0], pixels[:0]))
+    made = FineTuner(wall_in_front(0.02), bank, edited, FineTuneSettings(steps=3, rays=64), 0, 1)
+    assert made.step()["depth"] == 0
+
+
 def errors(field, bank) -> tuple[float, float]:
     """Mean squared error inside the red halves, and well below them, over all views."""
     inside, outside = [], []

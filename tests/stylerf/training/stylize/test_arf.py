@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from stylerf.errors import Diverged
+from stylerf.errors import Diverged, InvalidValue
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.occupancy_grid import OccupancyGrid
 from stylerf.geometry.camera_paths import look_at
@@ -22,9 +22,9 @@ from stylerf.training.stylize.settings import ArfSettings, DesrfSettings
 from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 from stylerf.training.stylize.trainer import StylizationTrainer
 from tests.stylerf.small import float64, oracle_color
-from tests.stylerf.style.small_trunk import small_trunk
+from tests.stylerf.style.small_trunk import picture, small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed, run_until
-from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, WIDTH, problem, settings, trainer
+from tests.stylerf.training.stylizing import BOX, GRAY, HEIGHT, WIDTH, arf, problem, settings, trainer
 
 
 def stylizer(
@@ -376,3 +376,11 @@ def test_features_are_taken_around_the_object_alone():
     made.method.loss.windows = [(slice(2, 12), slice(4, 16))] * 3
     made.run()
     assert all(kept.features["conv1"].shape[1:] == (10, 12) for kept in made.method.loss._content.kept.values())
+
+
+@pytest.mark.parametrize(("coarse", "height"), [(0.0, 40), (0.5, 80)])
+def test_a_style_image_of_which_too_little_is_left_is_refused_before_the_refit(coarse, height):
+    """Of views 18 pixels wide; the extractor needs four a side, and sees half of them at first if features are."""
+    with pytest.raises(InvalidValue, match="too elongated: of 400x"):
+        arf({"style_image": picture(height, 400, 9)}, coarse=coarse)
+    arf({"style_image": picture(2 * height + 20, 400, 9)}, coarse=coarse)

@@ -249,6 +249,16 @@ def test_views_without_the_part_neither_learn_nor_are_references():
         referenced(region=hidden)
 
 
+def test_a_view_that_misses_the_object_is_no_reference():
+    given = problem(settings(RefNprSettings))
+    away = given.cameras[1].world_from_camera.copy()
+    away[:3, 1:3] *= -1  # looks the other way
+    given.cameras[1] = replace(given.cameras[1], world_from_camera=away)
+    for image in (None, np.zeros((HEIGHT, WIDTH, 3), np.float32)):
+        with pytest.raises(InvalidValue, match="view s1, a reference, shows nothing of the object"):
+            RefNpr(StyledScene(given, new_color), small_trunk(), {0: None, 1: image}, small_trunk(), small_trunk())
+
+
 def test_rays_are_not_registered_through_a_deformation():
     given = problem(settings(RefNprSettings))
     given.field.displacement = displacement_grid(0)

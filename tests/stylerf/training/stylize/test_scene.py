@@ -1,17 +1,21 @@
 """Photos brought to a painting's colors: what is background stays, edges included."""
 
+import weakref
+
 import numpy as np
 import pytest
 import torch
 
 from stylerf.style.color_matching import match_colors
-from stylerf.training.stylize.scene import ObjectPhotos, rendered_match
+from stylerf.training.stylize import geometry, scene
+from stylerf.training.stylize.scene import ObjectPhotos, StyledScene, rendered_match
 from tests.stylerf.style.small_trunk import picture
+from tests.stylerf.training.stylizing import new_color, problem, settings
 
 
 def matched(photo: np.ndarray, alpha: np.ndarray, background: float, painting: torch.Tensor) -> np.ndarray:
     of_object = ObjectPhotos([photo], lambda view: alpha, np.float32(background))
-    colors, weights = of_object.colors(0, photo.size // 3)
+    colors, weights = of_object.colors(0)
     return of_object.mapped(0, match_colors(colors, painting.flatten(1).T, weights))
 
 
@@ -41,7 +45,7 @@ def test_what_lies_beside_a_part_of_a_photo_stays_and_half_of_it_half():
     photo, alpha = picture(6, 8, 1).permute(1, 2, 0).numpy(), np.zeros((6, 8), np.float32)
     alpha[:3], alpha[3] = 1, 0.5
     of_part = ObjectPhotos([photo], lambda view: alpha, None)
-    colors, weights = of_part.colors(0, 48)
+    colors, weights = of_part.colors(0)
     found = of_part.mapped(0, match_colors(colors, torch.tensor([[0.2, 0.4, 0.6]] * 9), weights))
     np.testing.assert_array_equal(found[4:], photo[4:])
     wanted = np.array([0.2, 0.4, 0.6], np.float32)  # of a painting of one color
@@ -62,3 +66,33 @@ def test_half_covered_pixels_count_where_there_are_no_others():
     wanted = np.cov(painting.flatten(1).double().numpy(), ddof=0)
     np.testing.assert_allclose(after(0.3, 0.0), wanted, atol=1e-4)
     np.testing.assert_allclose(after(0.9, 0.4), wanted, atol=1e-4)  # the upper half does not count
+
+
+def test_the_last_match_keeps_samples_of_renders_and_weighs_each_by_its_pixels(monkeypatch):
+    """Of 400 red pixels and twice 100 blue ones, 20 of each picture are sampled, which stand for 2 to 1."""
+    monkeypatch.setattr(scene, "SAMPLE", 60)
+    made = []
+
+    def render(color: list[float], side: int) -> tuple[np.ndarray, np.ndarray]:
+        assert sum(other() is not None for other in made) <= 1  # the one before
+        rgb = np.full((side, side, 3), color, np.float32)
+        made.append(weakref.ref(rgb))
+        return rgb, np.ones((side, side), np.float32)
+
+    painting, shown = picture(16, 16, 5), (([1.0, 0, 0], 20), ([0, 0, 1.0], 10), ([0, 0, 1.0], 10))
+    found = rendered_match((render(*one) for one in shown), painting, 0, 3)
+    colors = torch.tensor([[1.0, 0, 0], [0, 0, 1]])
+    expected = match_colors(colors, painting.flatten(1).T, torch.tensor([2.0, 1]))
+    np.testing.assert_allclose(found(colors.double()), expected(colors.double()), atol=1e-6)
+
+
+def test_a_view_that_no_cache_holds_is_marched_once_and_not_for_every_chunk(monkeypatch):
+    marches, march = [], geometry.surface_of
+    monkeypatch.setattr(geometry, "surface_of", lambda *given: marches.append(1) or march(*given))
+    monkeypatch.setattr(scene, "PIXELS_AT_ONCE", 50)  # of 252
+    one = StyledScene(problem(settings(), memory=0.0), new_color)
+    for views, expected in (([0], 1), ([1, 1], 1), ([0, 1], 2)):
+        marches.clear()
+        for view in views:
+            one.render_over(view)
+        assert len(marches) == expected

@@ -1,5 +1,6 @@
 """Pictures and field by turns: whose turn it is, what each lowers, what a picture is, going on."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 
 from stylerf.style.image_stylization import painted
 from stylerf.style.style_loss import StyleWeights
+from stylerf.training.stylize import snerf
 from stylerf.training.stylize.settings import SnerfSettings
 from stylerf.training.stylize.snerf import Snerf
 from stylerf.training.stylize.trainer import StylizationTrainer
@@ -46,6 +48,47 @@ def test_a_picture_that_takes_long_ends_with_the_pictures_turn():
     assert one.method.seconds_left_for_images == pytest.approx(-0.2) and not one.method.optimizes_images
     one.state.seconds = 1.2
     assert one.method.seconds_left_for_images == pytest.approx(0.3) and one.method.optimizes_images
+
+
+class Clock:
+    """In place of `time`: moves by what steps take."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+@pytest.mark.parametrize("evaluation", [20.0, 60.0, 150.0])
+def test_however_slow_an_evaluation_the_field_has_its_turns(monkeypatch, evaluation):
+    """Of two minutes in three rounds: a step of ten seconds after each round's images, and the last ten."""
+    one, clock, kinds = alternating(steps=0, match="none", rounds=3, image_share=0.75), Clock(), []
+    one.scene.settings = replace(one.settings, seconds=120.0)
+    one.state.phase = "style"
+    monkeypatch.setattr(snerf, "time", clock)
+
+    def painted(start, alpha, background, loss, steps, rate, enough):
+        for _ in range(steps):
+            clock.now += evaluation
+            if enough():
+                break
+        return np.zeros((HEIGHT, WIDTH, 3), np.float32), {}
+
+    monkeypatch.setattr(snerf, "painted", painted)
+    while one.scene.budget.progress < 1.0:
+        begun, this_round = clock.now, int(3 * one.scene.budget.progress)
+        if one.method.optimizes_images:
+            one.method.image_step()
+            kinds.append(this_round)
+        else:
+            clock.now += 10.0
+            kinds.append("field")
+        # As the trainer counts: the first step compiles.
+        one.state.seconds, one.state.step = one.state.seconds + (clock.now - begun) * (len(kinds) > 1), len(kinds)
+    assert kinds[-1] == "field" and one.state.seconds < 140
+    pairs = [(a, b) for a, b in itertools.pairwise(kinds) if "field" not in (a, b)]
+    assert all(a == b for a, b in pairs)
 
 
 def test_a_picture_is_its_render_painted_and_kept_in_eight_bits():
