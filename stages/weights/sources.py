@@ -227,22 +227,27 @@ def converted(convert: Callable[..., State], path: Path, *found: Mapping[str, Te
     bad = [name for name, value in state.items() if not torch.isfinite(value).all()]
     if bad:
         raise BadInput(f"weights {path}: {bad[0]} holds numbers that are not finite; fetch the file again")
-    if wrong := _of_wrong_shape(state):
-        raise BadInput(f"weights {path}: {wrong} is of the shape {list(state[wrong].shape)}; fetch the file again")
+    if fault := _fault_of_shape(state):
+        raise BadInput(f"weights {path}: {fault}; fetch the file again")
     return state
 
 
-def _of_wrong_shape(state: State) -> str:
-    """Name a tensor that breaks the chain of 3x3 convolutions, empty for none."""
-    expected = {name: (3,) for name in ("input.scale", "input.shift") if name in state}
+def _fault_of_shape(state: State) -> str:
+    """Describe what breaks the chain of 3x3 convolutions; empty for nothing."""
+    expected: dict[str, tuple[int, ...]] = {name: (3,) for name in ("input.scale", "input.shift") if name in state}
     channels = 3
     for layer in LAYERS:
         if f"{layer}.weight" not in state:
             break
-        out = len(state[f"{layer}.weight"])
+        out = next(iter(state[f"{layer}.weight"].shape), 0)
         expected |= {f"{layer}.weight": (out, channels, 3, 3), f"{layer}.bias": (out,)}
         channels = out
-    return next((name for name, shape in expected.items() if tuple(state[name].shape) != shape), "")
+    for name, shape in expected.items():
+        if name not in state:
+            return f"{name} is missing"
+        if tuple(state[name].shape) != shape:
+            return f"{name} is of the shape {list(state[name].shape)}, expected {list(shape)}"
+    return ""
 
 
 Paths = tuple[Path, ...]
