@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import StylerfError
 from stages.artifacts.camera_shots import focus_depth
 from stages.viewing.cameras import Pose, level_up
-from stages.viewing.commands import COMMAND_WIDTH, wrapped
+from stages.viewing.commands import COMMAND_WIDTH, fenced, wrapped
 from stages.viewing.desk import Desk
 from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
@@ -123,7 +123,7 @@ class Page:
     def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
         """Show the command of an action, or why there is none."""
         try:
-            handle.content = f"```sh\n{wrapped(make(), COMMAND_WIDTH)}\n```"
+            handle.content = fenced("sh", wrapped(make(), COMMAND_WIDTH))
         except (StylerfError, ValueError) as error:
             handle.content = f"*{_plain(str(error))}*"
 
