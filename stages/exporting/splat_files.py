@@ -143,8 +143,8 @@ def check_usd() -> None:
         )
 
 
-def add_splats(stage: Any, splats: Gaussians) -> None:
-    """Add a prim of splats, which are in the coordinates of the stage."""
+def add_splats(stage: Any, splats: Gaussians) -> np.ndarray:
+    """Add a prim of splats, which are in the coordinates of the stage; return its extent, as add_mesh does."""
     volumes, vt = needed("pxr.UsdVol", "USD"), needed("pxr.Vt", "USD")
     prim = volumes.ParticleField3DGaussianSplat.Define(stage, USD_SPLATS)
 
@@ -162,5 +162,6 @@ def add_splats(stage: Any, splats: Gaussians) -> None:
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(round(bands**0.5) - 1)
     # Particle by particle, as primvars with that many elements each are.
     prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(floats(splats.harmonics.reshape(-1, 3), "Vec3fArray"))
-    low, high = (splats.centers - reach).min(0), (splats.centers + reach).max(0)
-    prim.CreateExtentAttr(floats(np.stack([low, high]), "Vec3fArray"))
+    extent = np.stack([(splats.centers - reach).min(0), (splats.centers + reach).max(0)])
+    prim.CreateExtentAttr(floats(extent, "Vec3fArray"))
+    return extent

@@ -65,7 +65,7 @@ def write_page(splats: Path, target: Path, camera: Any, up: np.ndarray) -> Path:
         server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     try:
         server.scene.set_up_direction(tuple(up.tolist()))
-        for name in ("position", "look_at", "up", "fov"):
+        for name in ("position", "look_at", "up", "fov", "far"):
             setattr(server.initial_camera, name, getattr(camera, name))
         server.scene.add_gaussian_splats(
             "/scene", parts["centers"], parts["covariances"], parts["rgbs"], parts["opacities"]

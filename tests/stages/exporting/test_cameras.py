@@ -116,6 +116,9 @@ def test_the_usd_camera_projects_as_the_scene_does(bent, tmp_path):
     stage, data = Usd.Stage.Open(str(made.path / "cameras.usda")), load_scene(bent)
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     to_file = file_from_scene(data, "source", "y")
+    scale = np.cbrt(np.linalg.det(to_file[:3, :3]))
+    near, far = UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetClippingRangeAttr().Get()
+    assert near < 0.1 * data.bounds.near * scale and far > 20 * data.bounds.far * scale  # splats of a background too
     point = data.cameras[0].unproject(np.array([[7.0, 9.0]]), np.array([2.0]))
     for time, own in enumerate(data.cameras, start=1):
         frustum = UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetCamera(time).frustum

@@ -41,7 +41,9 @@ def inputs(tmp_path_factory) -> dict[str, Artifact]:
     for view in content.views:
         (begun.path / view.image).parent.mkdir(exist_ok=True)
         (begun.path / view.image).write_bytes((plain.path / view.image).read_bytes())
-    write_scene(begun.path, replace(content, scene_from_source=tuple(map(tuple, SCENE_FROM_SOURCE.tolist()))))
+    near_by = replace(content.bounds, far=1.0)  # as those of a capture, which shows more than its bounds
+    matrix = tuple(map(tuple, SCENE_FROM_SOURCE.tolist()))
+    write_scene(begun.path, replace(content, scene_from_source=matrix, bounds=near_by))
     scene = begun.commit()
     field = solid(lambda points: ball(points - CENTER), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
     made = commit(work, "field", "fit", "nerf_fit", {"scene": scene}, lambda at: save_field(at, field, "white"))
@@ -155,10 +157,12 @@ def test_a_shot_holds_camera_and_mesh_and_complies(inputs, made, tmp_path, forma
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/shot/mesh"))
     positions, *_ = read_glb(made.path / "mesh.glb")
     np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get()), positions, atol=1e-5)
+    near, far = np.array(UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetClippingRangeAttr().Get()) * 10
     # The camera looks at the ball: it comes back as one of the scene's orbit.
     for camera in read_cameras(path, load_scene(inputs["scene"])).cameras:
         assert (camera.center - CENTER) @ camera.forward < 0
         pixel, depth = camera.project(CENTER[None])
+        assert near < depth - 0.5 and depth + 0.5 < far < depth + 3
         assert depth > 0 and 0 < pixel[0, 0] < camera.width and 0 < pixel[0, 1] < camera.height
 
 

@@ -45,9 +45,15 @@ def test_of_too_many_splats_the_most_visible_stay():
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)")
 def test_the_page_opens_without_a_server(tmp_path):
     pytest.importorskip("viser")
-    ply = splat_scene.write_ply(tmp_path / "ball.ply", splat_scene.ball())
+    ball = splat_scene.ball()
+    for k, axis in enumerate("xyz"):  # beyond the planes that viser's camera has by itself
+        ball[axis] *= 1000
+        ball[f"scale_{k}"] += np.float32(np.log(1000))
+    ply = splat_scene.write_ply(tmp_path / "ball.ply", ball)
     assert len(read_splat_ply(ply).centers) == 1500
-    camera = SimpleNamespace(position=(0.0, -3.0, 0.0), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=0.9)
+    camera = SimpleNamespace(
+        position=(0.0, -3000.0, 0.0), look_at=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=0.9, far=1e4
+    )  # fmt: skip
     page = write_page(ply, tmp_path / "view" / "ball.html", camera, np.array([0.0, 0.0, 1.0]))
     browser = Browser(tmp_path / "profile", SOFTWARE_GL)
     try:
