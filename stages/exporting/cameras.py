@@ -126,7 +126,8 @@ def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str, square: bo
         return max(off, abs(one.fx / one.fy - 1) * one.width) if square else off
 
     if (largest := max(map(shift, cameras))) > 0.01:
+        lenses = ", and one focal length for both axes" if square else ""
         job.say(
-            f"{name} holds no principal point{' and one focal length' if square else ''}: its cameras are off by up to "
-            f"{largest:.2g} pixels; transforms, colmap and usd hold all"
+            f"{name} holds no principal point{lenses}: its cameras are off by up to {largest:.2g} pixels; transforms, "
+            "colmap and usd hold all"
         )
