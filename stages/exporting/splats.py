@@ -65,6 +65,7 @@ def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
         except InvalidValue as error:
             raise BadInput(f"{job.inputs['field'].path}: {error}") from error
         start = on_surfaces(placed, min(getattr(job.field.color, "degree", 0), 2), job.context.threads)
+        job.check_precision(start.centers, np.exp(start.log_scales).max(1))
         optimizer = SplatOptimizer(start, NEAR * job.scene.bounds.near, job.context.threads)
         _optimize(job, optimizer, views, began)
         splats = optimizer.result()

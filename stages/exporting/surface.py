@@ -69,6 +69,7 @@ def surface_of(job: ExportJob) -> Surface:
             + ("" if field.space.kind == "box" else f" within --reach {config.reach:g}")
         )
     mesh = decimated(mesh, config.faces)
+    job.check_precision(mesh.vertices[mesh.faces[:, 0]], np.sqrt(2 * mesh.areas()))
     normals = mesh.normals()
     progress.say(f"coloring {len(mesh.vertices):,} vertices of {len(mesh.faces):,} triangles")
     colors = vertex_colors(field, mesh.vertices, normals, views, tolerance, threads)

@@ -186,6 +186,26 @@ def test_a_shot_of_splats_holds_the_splats_of_the_field_where_its_mesh_is(inputs
     assert len(read_cameras(path, load_scene(inputs["scene"])).cameras) == 4
 
 
+def far_from_its_origin(scene: Artifact, work: WorkFolder) -> Artifact:
+    """The scene with the source coordinates of a map: UTM, in meters; the ball is 0.1 wide."""
+    content = read_scene(scene.path)
+    matrix = SCENE_FROM_SOURCE @ similarity(1.0, np.eye(3), -np.array([500000.0, 4649776.0, 100.0]))
+    begun = work.begin("scene", "main", Recipe("pose_import", 1, {"far": True}, []))
+    for view in content.views:
+        (begun.path / view.image).parent.mkdir(exist_ok=True)
+        (begun.path / view.image).write_bytes((scene.path / view.image).read_bytes())
+    write_scene(begun.path, replace(content, scene_from_source=tuple(map(tuple, matrix.tolist()))))
+    return begun.commit()
+
+
+@pytest.mark.parametrize("options", [SMALL, {"kind": "splats", "splats": 500, "budget": "1"}])
+def test_coordinates_that_float32_would_blur_are_refused(inputs, tmp_path, options):
+    far = inputs | {"scene": far_from_its_origin(inputs["scene"], WorkFolder(tmp_path / "work"))}
+    with pytest.raises(BadInput, match=r"reach 4\.65e\+06, .* are 0\.5 apart, .*; export with --units scene"):
+        exported(tmp_path / "made", far, formats="ply", **options)
+    exported(tmp_path / "made", far, formats="ply", units="scene", **options)
+
+
 def test_a_field_of_nothing_is_refused(inputs, tmp_path):
     work = WorkFolder(tmp_path / "work")
     field = solid(lambda points: np.full(len(points), 9.0), SpaceWarp.box([-1, -1, -1], [1, 1, 1]), 16)
