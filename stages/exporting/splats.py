@@ -48,6 +48,8 @@ class _View:
 
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the splats in every chosen format; return the files and the figures."""
+    if USD_FORMATS & set(job.config.chosen):
+        splat_files.check_usd()  # before anything is computed
     splats, figures = splats_of(job)
     names = dict.fromkeys(job.config.chosen) | ({"ply": None} if USD_FORMATS & set(job.config.chosen) else {})
     return [written(job, name, splats) for name in names], figures
