@@ -10,7 +10,6 @@ import numpy as np
 
 from schemas.errors import StylerfError
 from stages.artifacts.camera_shots import focus_depth
-from stages.exporting.splats import FARTHEST
 from stages.viewing.cameras import Pose, level_up
 from stages.viewing.commands import COMMAND_WIDTH, fenced, wrapped
 from stages.viewing.desk import Desk
@@ -74,7 +73,6 @@ class Page:
         start.look_at = first.center + first.forward * away
         start.up = level_up(self.up, first.world_from_camera)
         start.fov = 2 * float(np.arctan(first.height / 2 / first.fy))
-        start.far = max(start.far, 2 * FARTHEST * scene.bounds.far)  # viser drops splats beyond it
         self.away, self._first = away, first
 
     def _start_pose(self, aspect: float) -> Pose:

@@ -17,7 +17,6 @@ from PIL import Image
 
 from schemas.errors import ArtifactStale, OutOfResources
 from stages.configs.view import ViewConfig
-from stages.exporting.splats import FARTHEST
 from stages.viewing.server import Viewer
 from tests.stages import evaluation_fixture as made
 from tests.stages import splat_scene
@@ -133,8 +132,6 @@ def test_exported_splats_are_seen_while_the_camera_moves(viewer, tab):
     splats = viewer.page._splats[page]
     viewer.page.show_splats()
     assert until(lambda: splats._node is not None and not splats.shown), "they are hidden while the camera rests"
-    far = viewer._server.get_clients()[page].camera.far
-    assert far > 2 * FARTHEST * desk.library.scene.bounds.far - 1, "viser drops splats beyond it"
     seen, begin = [], splats.begin
     splats.begin = lambda: (begin(), seen.append(splats.shown))[0]
     box, pose = tab.canvas(), desk.painter.pose(page)
