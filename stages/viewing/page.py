@@ -123,7 +123,7 @@ class Page:
     def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
         """Show the command of an action, or why there is none."""
         try:
-            handle.content = fenced("sh", wrapped(make(), COMMAND_WIDTH))
+            handle.content = fenced("sh", wrapped(self.desk.runs.whole(make()), COMMAND_WIDTH))
         except (StylerfError, ValueError) as error:
             handle.content = f"*{_plain(str(error))}*"
 

@@ -140,4 +140,8 @@ class Runs:
 
     def script(self) -> str:
         """Return the session's commands as a shell script."""
-        return script_of(self.commands)
+        return script_of(map(self.whole, self.commands))
+
+    def whole(self, arguments: Sequence[str]) -> list[str]:
+        """Return the arguments of a command with those that every command gets."""
+        return [*arguments, *self._common]

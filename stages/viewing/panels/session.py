@@ -16,7 +16,7 @@ def add(page: Any) -> None:
     said = gui.add_markdown("")
 
     def listing() -> None:
-        lines = [wrapped(one, COMMAND_WIDTH) for one in runs.commands]
+        lines = [wrapped(runs.whole(one), COMMAND_WIDTH) for one in runs.commands]
         listed.content = fenced("sh", "\n".join(lines)) if lines else "no command has run yet"
         run = runs.present
         said.content = fenced("text", page.within("\n".join(list(run.lines)[-12:]))) if run else ""

@@ -2,8 +2,10 @@
 
 import sys
 import threading
+from functools import partial
 
-from stages.viewing.runs import Run
+from stages.viewing.commands import as_text
+from stages.viewing.runs import Run, Runs
 
 TALK = "print('one'); print('two')"
 WAIT = """
@@ -38,3 +40,13 @@ def test_stopping_interrupts_and_waits_for_what_is_saved():
     assert run.wait() == 130 and ended.wait(5)
     assert run.last == "saved" and run.stopped
     run.stop()  # harmless
+
+
+def test_the_script_of_a_session_has_the_options_that_its_runs_had(monkeypatch):
+    echo = partial(Run, program=[sys.executable, "-c", "import sys; print(sys.argv[1:])"])
+    monkeypatch.setattr("stages.viewing.runs.Run", echo)
+    runs = Runs(("--seed", "7", "--device", "cpu"))
+    run = runs.start(["fit", "w"])
+    assert run.wait() == 0 and run.last == "['fit', 'w', '--seed', '7', '--device', 'cpu']"
+    assert as_text(runs.whole(["fit", "w"])) in runs.script().splitlines()
+    assert runs.script().count("stylerf fit w --seed 7 --device cpu") == 1
