@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from schemas.errors import StylerfError
+from schemas.errors import StylerfError, one_line
 from stages.artifacts.camera_shots import focus_depth
 from stages.viewing.cameras import Pose, level_up
 from stages.viewing.commands import COMMAND_WIDTH, fenced, wrapped
@@ -38,6 +38,7 @@ class Page:
         self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
+        self._complaint = ""  # told last, so that it is not told with each line of a run
         self._splats: dict[int, MovingSplats] = {}
         server.gui.configure_theme(
             control_width="large",
@@ -136,7 +137,12 @@ class Page:
             state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
             self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self.within(run.last))[:160]}`"
         for one in self.rest:
-            one()
+            try:
+                one()
+            except Exception as error:  # such as of a damaged artifact: the other lists are brought up to date
+                if (complaint := one_line(error)) != self._complaint:
+                    self._complaint = complaint
+                    self.tell(complaint, failed=True)
         if run is not None and run.code is not None:
             self.show_splats()
 
