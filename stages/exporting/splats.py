@@ -179,6 +179,9 @@ def written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
     elif name == "spz":
         bits = splat_files.write_spz(path, placed)
         to.notes["position_step"] = 2.0**-bits
+        if lost := splat_files.lost_in_spz(placed, bits):
+            other = "another format" if job.config.units == "scene" else "--units scene, or in another format"
+            job.say(f"{to.path} is coarse: {lost}; export with {other}")
     elif name == "glb":
         splat_files.write_glb(path, placed)
     else:
