@@ -105,9 +105,9 @@ def _nearest_angles(rotation: np.ndarray, before: np.ndarray) -> np.ndarray:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)  # rz is 0 then, which is right too
         ry, rx, rz = Rotation.from_matrix(rotation).as_euler("YXZ", degrees=True)
-    twins = np.array([[rx, ry, rz], [180 - rx, ry + 180, rz + 180]])
-    twins += 360 * np.round((before - twins) / 360)
-    nearest: np.ndarray = twins[np.abs(twins - before).sum(1).argmin()]
+    equal = np.array([[rx, ry, rz], [180 - rx, ry + 180, rz + 180]])
+    equal += 360 * np.round((before - equal) / 360)
+    nearest: np.ndarray = equal[np.abs(equal - before).sum(1).argmin()]
     return nearest
 
 

@@ -38,7 +38,7 @@ class Page:
         self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
-        self._complaint = ""  # told last, so that it is not told with each line of a run
+        self._complaint = ""  # shown last, so that it is not shown again with each line of a run
         self._splats: dict[int, MovingSplats] = {}
         server.gui.configure_theme(
             control_width="large",
