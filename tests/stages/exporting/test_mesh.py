@@ -1,6 +1,7 @@
 """Exported meshes and shots, read back by other libraries: where things are, which way is up, what colors they have."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -220,6 +221,13 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(inputs, tm
     monkeypatch.setitem(libraries.PACKAGES, "pygltflib_that_is_not_there", "pygltflib")
     with pytest.raises(UsageError, match=r"--format glb needs pygltflib.*pip install 'stylerf\[export\]'"):
         exported(tmp_path, inputs, **SMALL)
+
+
+def test_a_mesh_without_the_library_for_fewer_triangles_says_what_to_do(inputs, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    with pytest.raises(UsageError, match=r"at most 2,000 triangles \(--faces 0: of all\) needs fast-simplif.*pip"):
+        exported(tmp_path, inputs, **SMALL, formats="ply")
+    exported(tmp_path, inputs, **SMALL | {"faces": 0}, formats="ply")
 
 
 @pytest.mark.parametrize(
