@@ -1,4 +1,4 @@
-"""Export: meshes, cameras and whole shots, in the formats of other programs.
+"""Export: meshes, splats, cameras and whole shots, in the formats of other programs.
 
 Roles of the inputs: `scene` and, for all but cameras, `field`.
 """
