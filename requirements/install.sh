@@ -7,6 +7,10 @@
 # $PYTHON names the interpreter (default: python3).
 # Where there is no NVIDIA GPU torch is the CPU build, from wherever pip is set up to find it or from pytorch.org.
 set -eu
+if [ $# -eq 0 ]; then
+    echo "usage: sh requirements/install.sh VENV [test]" >&2
+    exit 2
+fi
 venv=$1
 here=$(cd "$(dirname "$0")" && pwd)
 

@@ -1,4 +1,4 @@
-"""Export: meshes, cameras and whole shots, in the formats of other programs.
+"""Export: meshes, splats, cameras and whole shots, in the formats of other programs.
 
 Roles of the inputs: `scene` and, for all but cameras, `field`.
 """
@@ -28,7 +28,7 @@ SPEC = Spec(
 
 def run(inputs: dict[str, Artifact], config: ExportConfig, partial: PartialArtifact, context: Context) -> dict:
     """Write the files of each format, and export.json, which says what their coordinates are; return the figures."""
-    check_formats(config.chosen)
+    check_formats(config.kind, config.chosen)
     job = ExportJob(inputs, config, partial.path, replace(context, threads=set_threads(context.threads)))
     files, figures = importlib.import_module(f"stages.exporting.{config.kind}").write(job)
     write_json(partial.path / EXPORT_FILE, {

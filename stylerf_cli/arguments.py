@@ -13,6 +13,7 @@ from typing import Any, NoReturn, TypeAlias
 from schemas.errors import UsageError
 from schemas.safe_reading import read_text
 from stages.configs import default_of, flag_of, options_of
+from stages.configs.typed import shape_of, typed
 from stages.run.memory import bytes_of
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -92,7 +93,7 @@ def _fields(config: type) -> list[tuple[Field, Any]]:
 def _add_field(group: argparse._ActionsContainer, item: Field, kind: Any, shown: bool) -> None:
     meta = item.metadata
     settings: dict[str, Any] = {"help": _help(item) if shown else argparse.SUPPRESS, "default": argparse.SUPPRESS}
-    base, many = _shape(kind)
+    base, many = shape_of(kind)
     if base is bool:
         settings["action"] = argparse.BooleanOptionalAction
     else:
@@ -119,14 +120,6 @@ def _help(item: Field) -> str:
     default = default_of(item)
     shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default).replace("%", "%%")
     return f"{text} (default: {shown})" if default not in ("", None, ()) else text
-
-
-def _shape(kind: Any) -> tuple[Any, int | None]:
-    """Return the type of one value, and the number of values: None for one, 0 for one or more, n for exactly n."""
-    if typing.get_origin(kind) is tuple:
-        inner = typing.get_args(kind)
-        return inner[0], 0 if inner[-1] is Ellipsis else len(inner)
-    return kind, None
 
 
 def _whole(text: str) -> int:
@@ -182,7 +175,7 @@ def build_config(
     for key, value in table.items():
         name = key.replace("-", "_")
         if name in kinds and not hasattr(flags, name):
-            values[name] = _from_toml(value, *kinds[name], f"{where}: {key}")
+            values[name] = typed(value, *kinds[name], f"{where}: {key}")
         elif name not in kinds and name not in elsewhere:
             raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
     of_file = set(values)
@@ -198,29 +191,6 @@ def build_config(
         # The config's own message does not say where a value came from.
         source = f" (options from {where}: {', '.join(sorted(of_file))})" if of_file else ""
         raise UsageError(f"{error}{source}") from error
-
-
-def _from_toml(value: Any, item: Field, kind: Any, where: str) -> Any:
-    base, many = _shape(kind)
-    if many is not None:
-        if not isinstance(value, list) or (many and len(value) != many) or not value:
-            raise UsageError(f"{where} takes a list of {many or 'one or more'} values, not {value!r}")
-        return tuple(_one_from_toml(one, base, item, where) for one in value)
-    return _one_from_toml(value, base, item, where)
-
-
-def _one_from_toml(value: Any, base: Any, item: Field, where: str) -> Any:
-    choices = item.metadata.get("choices")
-    if choices and value not in choices:
-        raise UsageError(f"{where} is {value!r}; expected one of {', '.join(map(str, choices))}")
-    if base is Path and isinstance(value, str):
-        return Path(value)
-    sound = isinstance(value, base) or (base is float and isinstance(value, int))
-    sound = sound and (base is bool or not isinstance(value, bool))
-    if not sound or (isinstance(value, float) and not math.isfinite(value)):
-        words = {int: "a whole number", float: "a number", str: "a text in quotes", bool: "true or false"}
-        raise UsageError(f"{where} takes {words.get(base, base.__name__)}, not {value!r}")
-    return float(value) if base is float else value
 
 
 def nearest(word: str, known: list[str], listing: bool = True) -> str:

@@ -112,3 +112,8 @@ def test_installing_goes_on_without_weights_but_not_without_the_rest(tmp_path):
         assert any(line.endswith("/..") for line in said) != bool(code)
         if refused == "torch-cpu.txt":
             assert any(line.endswith("/torch.txt") for line in said)
+
+
+def test_installing_without_a_folder_says_how():
+    done = subprocess.run(["sh", FOLDER / "install.sh"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.splitlines() == ["usage: sh requirements/install.sh VENV [test]"]

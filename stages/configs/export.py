@@ -17,6 +17,7 @@ FORMATS: dict[str, tuple[str, ...]] = {
 DEFAULT_FORMATS = {"mesh": 1, "splats": 1, "cameras": 2, "shot": 1}  # how many of them are written if none are named
 MOST_SPLATS = 5_000_000
 WITH_PHOTOS = ("transforms", "colmap", "colmap-text")  # formats that list the photos of their cameras
+_LISTED = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in FORMATS.items())
 _ALONG_PATHS = ("cameras", "shot")
 
 
@@ -27,7 +28,7 @@ class ExportConfig:
     kind: str = option("mesh", flag="--as", choices=tuple(FORMATS), help="what to export (default: mesh)")
     formats: str = option(
         "", flag="--format", metavar="F,F...",
-        help="formats, separated by commas (default: glb, ply, transforms and colmap, or usdc; docs/how-to/export.md)",
+        help=f"formats, separated by commas; {_LISTED} (default: the first, of cameras the first two)",
     )  # fmt: skip
     units: str = option(
         "source", choices=("source", "scene"), help="coordinates of the photos' source, or normalized scene units"

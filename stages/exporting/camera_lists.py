@@ -5,6 +5,7 @@ Cameras are in the coordinates of the file, with OpenCV axes; the writers turn t
 """
 
 import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -87,14 +88,27 @@ def write_chan(path: Path, cameras: list[Camera]) -> None:
 
     Angles are degrees, rotation order ZXY, Nuke's default for cameras: a point is turned about z, then x, then y, so
     that the rotation is Ry Rx Rz. Cameras look along -z, y up. The file states neither the order nor the frame rate.
+    Of the angles that mean one rotation, each frame has those nearest to the frame before, so that they interpolate.
     """
     lines = []
+    angles = np.zeros(3)
     for frame, camera in enumerate(cameras, start=1):
         pose = opengl_pose(camera)
-        ry, rx, rz = Rotation.from_matrix(pose[:3, :3]).as_euler("YXZ", degrees=True)
-        values = np.array([*pose[:3, 3], rx, ry, rz, vertical_fov(camera)])
+        angles = _nearest_angles(pose[:3, :3], angles)
+        values = np.array([*pose[:3, 3], *angles, vertical_fov(camera)])
         lines.append(f"{frame} " + " ".join(f"{value:.12g}" for value in values))
     write_bytes(path, ("\n".join(lines) + "\n").encode())
+
+
+def _nearest_angles(rotation: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return the angles rx, ry, rz, degrees, of the rotation Ry Rx Rz [3, 3] that are nearest to those `before`."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)  # rz is 0 then, which is right too
+        ry, rx, rz = Rotation.from_matrix(rotation).as_euler("YXZ", degrees=True)
+    equal = np.array([[rx, ry, rz], [180 - rx, ry + 180, rz + 180]])
+    equal += 360 * np.round((before - equal) / 360)
+    nearest: np.ndarray = equal[np.abs(equal - before).sum(1).argmin()]
+    return nearest
 
 
 def write_colmap(

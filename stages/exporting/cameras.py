@@ -13,6 +13,7 @@ from stages.configs.export import WITH_PHOTOS
 from stages.configs.render import OWN_VIEWS
 from stages.exporting import camera_lists, usd_stage
 from stages.exporting.job import ExportedFile, ExportJob
+from stages.exporting.splats import FARTHEST, NEAR
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
 
@@ -99,7 +100,8 @@ def _usd(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> Expor
     to = job.placed("cameras.usda", "y", camera_axes="OpenGL", fps=job.config.fps)
     bounds, scale = job.scene.bounds, scale_of(to.file_from_scene)
     stage = usd_stage.new_stage(job.folder / to.path, job.config)
-    usd_stage.add_camera(stage, placed_cameras(cameras, to), (bounds.near * scale, bounds.far * scale))
+    near_far = NEAR * bounds.near * scale, FARTHEST * bounds.far * scale  # for splats of the scene too
+    usd_stage.add_camera(stage, placed_cameras(cameras, to), near_far)
     usd_stage.save(stage)
     return to
 
@@ -124,7 +126,8 @@ def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str, square: bo
         return max(off, abs(one.fx / one.fy - 1) * one.width) if square else off
 
     if (largest := max(map(shift, cameras))) > 0.01:
+        lenses = ", and one focal length for both axes" if square else ""
         job.say(
-            f"{name} holds no principal point{' and one focal length' if square else ''}: its cameras are off by up to "
-            f"{largest:.2g} pixels; transforms, colmap and usd hold all"
+            f"{name} holds no principal point{lenses}: its cameras are off by up to {largest:.2g} pixels; transforms, "
+            "colmap and usd hold all"
         )

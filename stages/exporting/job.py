@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
+from schemas.errors import BadInput
 from schemas.work_folder import Artifact
 from stages.artifacts.field import load_field
 from stages.artifacts.scene import SceneData, load_scene
-from stages.artifacts.world_axes import file_from_scene
+from stages.artifacts.world_axes import applied, file_from_scene, scale_of
 from stages.configs.export import ExportConfig
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
+
+COARSEST_STEP = 0.1  # of 32-bit coordinates, in sizes of what has them
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,3 +61,22 @@ class ExportJob:
     def placed(self, path: str, up: str = "", **notes: object) -> ExportedFile:
         """Describe a file in the units of the options. up: y or z, or "" for their own axes."""
         return ExportedFile(path, up, file_from_scene(self.scene, self.config.units, up), notes)
+
+    def check_precision(self, points: np.ndarray, sizes: np.ndarray) -> None:
+        """Raise BadInput if files, whose coordinates are float32, would blur most of what is exported.
+
+        Source coordinates may lie far from their origin, such as those of a map.
+
+        Args:
+            points: [n, 3], scene units.
+            sizes: [n], of what lies there, such as splats or faces, scene units.
+        """
+        matrix = file_from_scene(self.scene, self.config.units)
+        reach = np.abs(applied(matrix, points.astype(np.float64))).max(1)
+        steps, sizes = np.spacing(reach.astype(np.float32)), sizes * scale_of(matrix)
+        if np.mean(steps > COARSEST_STEP * sizes) > 0.5:
+            raise BadInput(
+                f"{self.scene.folder}: its source coordinates reach {reach.max():.3g}, where the 32-bit numbers of "
+                f"exported files are {steps.max():.2g} apart, and details are {np.median(sizes):.2g} large; export "
+                "with --units scene"
+            )

@@ -1,23 +1,25 @@
 """Optional libraries of the extra `export`, imported when a format needs them."""
 
 import importlib
+import sys
 from typing import Any
 
 from schemas.errors import UsageError
 
 PACKAGES = {"pxr": "usd-core", "pygltflib": "pygltflib", "fast_simplification": "fast-simplification", "gsply": "gsply"}
 OF_FORMATS = {"usd": "pxr", "usda": "pxr", "usdc": "pxr", "glb": "pygltflib", "spz": "gsply"}
+ALONE = {("splats", "glb")}  # kind and format: written without the library
 
 
-def check_formats(formats: tuple[str, ...]) -> None:
-    """Import what the formats need, so that a missing library is reported before anything is computed."""
+def check_formats(kind: str, formats: tuple[str, ...]) -> None:
+    """Import what the formats of a kind need, so that a missing library is reported before anything is computed."""
     for name in formats:
-        if name in OF_FORMATS:
+        if name in OF_FORMATS and (kind, name) not in ALONE:
             needed(OF_FORMATS[name], f"--format {name}")
 
 
 def needed(module: str, purpose: str) -> Any:
-    """Import a library; UsageError with the command that installs it where it is missing.
+    """Import a library; UsageError that says how to install it where it is missing.
 
     Args:
         module: its name, with the submodule that is wanted.
@@ -27,6 +29,7 @@ def needed(module: str, purpose: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise UsageError(
-            f"{purpose} needs {package}, which cannot be imported ({error}); pip install 'stylerf[export]'"
-        ) from error
+        how = "pip install 'stylerf[export]'"
+        if package == "gsply" and sys.version_info >= (3, 14):
+            how = "it has no wheel for Python 3.14, so choose another format"
+        raise UsageError(f"{purpose} needs {package}, which cannot be imported ({error}); {how}") from error

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from stages.artifacts.camera_shots import shots_along
 from stages.artifacts.world_axes import scale_of
 from stages.exporting import splat_files, splats, usd_stage
@@ -17,12 +19,12 @@ class _Geometry(NamedTuple):
 
     Attributes:
         notes: What its colors are, for export.json.
-        add: Adds it to the stage of a file.
+        add: Adds it to the stage of a file and returns its extent [2, 3].
         beside: Files with it that are written already.
     """
 
     notes: dict[str, object]
-    add: Callable[[Any, ExportedFile], None]
+    add: Callable[[Any, ExportedFile], np.ndarray]
     figures: dict
     beside: list[ExportedFile]
 
@@ -37,10 +39,10 @@ def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
             f"shot.{name}", "y", camera_axes="OpenGL", fps=job.config.fps,
             meters_per_unit=job.config.meters_per_unit, **geometry.notes,
         )  # fmt: skip
-        scale = scale_of(to.file_from_scene)
+        scale, placed = scale_of(to.file_from_scene), placed_cameras(cameras, to)
         stage = usd_stage.new_stage(job.folder / to.path, job.config)
-        usd_stage.add_camera(stage, placed_cameras(cameras, to), (bounds.near * scale, bounds.far * scale))
-        geometry.add(stage, to)
+        far = max(bounds.far * scale, usd_stage.farthest(placed, geometry.add(stage, to)))
+        usd_stage.add_camera(stage, placed, (splats.NEAR * bounds.near * scale, far))
         usd_stage.save(stage)
         files.append(to)
     return files, {"cameras": len(cameras), **geometry.figures}
@@ -49,9 +51,9 @@ def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
 def _mesh(job: ExportJob) -> _Geometry:
     surface = surface_of(job)
 
-    def add(stage: Any, to: ExportedFile) -> None:
+    def add(stage: Any, to: ExportedFile) -> np.ndarray:
         placed = surface.placed(to)
-        usd_stage.add_mesh(stage, placed.mesh.vertices, placed.mesh.faces, placed.normals, placed.linear_colors)
+        return usd_stage.add_mesh(stage, placed.mesh.vertices, placed.mesh.faces, placed.normals, placed.linear_colors)
 
     figures = {"vertices": len(surface.mesh.vertices), "faces": len(surface.mesh.faces)}
     return _Geometry({"vertex_colors": "linear Rec.709"}, add, figures, [])
@@ -61,7 +63,7 @@ def _splats(job: ExportJob) -> _Geometry:
     splat_files.check_usd()  # before anything is computed
     made, figures = splats.splats_of(job)
 
-    def add(stage: Any, to: ExportedFile) -> None:
-        splat_files.add_splats(stage, moved_gaussians(made, to.file_from_scene))
+    def add(stage: Any, to: ExportedFile) -> np.ndarray:
+        return splat_files.add_splats(stage, moved_gaussians(made, to.file_from_scene))
 
     return _Geometry({"colors": splats.COLORS}, add, figures, [splats.written(job, "ply", made)])

@@ -15,8 +15,11 @@ from stylerf.geometry.spherical_harmonics import C0
 from stylerf.kernels.cpu.splats import Gaussians
 from stylerf.srgb import decoded
 
-SPZ_FRACTION_BITS = 12  # of positions of 24 bits, where they fit
+SPZ_FRACTION_BITS = 12  # of positions of 24 bits, where they fit; small splats get more
+SPZ_MOST_BITS = 24
 SPZ_LARGEST = 2**23  # of a position's fixed-point number
+SPZ_LOG_SCALES = -10.0, 255 / 16 - 10  # the smallest and the largest size, natural logarithms
+SPZ_STEP = 0.1  # of positions, in sizes of a splat, that bits are given for
 GLTF_EXTENSION = "KHR_gaussian_splatting"
 _FLOAT, _POINTS, _VERTICES = 5126, 0, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -53,15 +56,17 @@ def write_ply(path: Path, splats: Gaussians) -> None:
 def write_spz(path: Path, splats: Gaussians) -> int:
     """Write SPZ (Niantic) version 3, a tenth of PLY's size: 8 to 24 bits a number, compressed by gzip.
 
-    Returns the bits behind the point of positions, as many of SPZ_FRACTION_BITS as leave room.
+    Returns the bits behind the point of positions: as many as leave room, at most those that splats of this size need.
     """
     gsply = needed("gsply", "--format spz")
     reach = float(np.abs(splats.centers).max(initial=0.0))
-    bits = min(SPZ_FRACTION_BITS, int(np.floor(np.log2((SPZ_LARGEST - 1) / max(reach, 1e-9)))))
-    if bits < 0:
+    wanted = int(np.ceil(-np.log2(SPZ_STEP * _median_size(splats))))
+    room = int(np.floor(np.log2((SPZ_LARGEST - 1) / max(reach, 1e-9))))
+    bits = min(max(SPZ_FRACTION_BITS, wanted), room, SPZ_MOST_BITS)
+    if bits < 1:
         raise BadInput(
-            f"{path.name}: splats reach {reach:.3g} units from the origin, and SPZ ends at {SPZ_LARGEST:.2g}; export "
-            "with --units scene, or to another format"
+            f"{path.name}: splats reach {reach:.3g} units from the origin, and SPZ ends at {SPZ_LARGEST / 2:.2g}; "
+            "export with --units scene, or to another format"
         )
     higher = splats.harmonics[:, 1:] if splats.harmonics.shape[1] > 1 else None
     data = gsply.GSData.from_arrays(
@@ -69,6 +74,30 @@ def write_spz(path: Path, splats: Gaussians) -> int:
     )
     gsply.write_spz(path, data, version=3, fractional_bits=bits)
     return bits
+
+
+def lost_in_spz(splats: Gaussians, bits: int) -> str:
+    """Return in words what SPZ cannot hold of the splats; "" if nothing matters.
+
+    Args:
+        bits: behind the point of positions.
+    """
+    low, high = SPZ_LOG_SCALES
+    clamped = int(((splats.log_scales < low - 1 / 32) | (splats.log_scales > high + 1 / 32)).any(1).sum())
+    words = []
+    if clamped:
+        words.append(
+            f"{clamped:,} of {len(splats.centers):,} splats are smaller than {np.exp(low):.2g} or larger than "
+            f"{np.exp(high):.3g} units and were given that size"
+        )
+    if 2.0**-bits > (size := _median_size(splats)):
+        words.append(f"positions are in steps of {2.0**-bits:.2g} units, and splats {size:.2g} large")
+    return "; ".join(words)
+
+
+def _median_size(splats: Gaussians) -> float:
+    """Return the median of the splats' largest standard deviations."""
+    return float(np.exp(np.median(splats.log_scales.max(1))))
 
 
 def write_glb(path: Path, splats: Gaussians) -> None:
@@ -143,8 +172,8 @@ def check_usd() -> None:
         )
 
 
-def add_splats(stage: Any, splats: Gaussians) -> None:
-    """Add a prim of splats, which are in the coordinates of the stage."""
+def add_splats(stage: Any, splats: Gaussians) -> np.ndarray:
+    """Add a prim of splats, which are in the coordinates of the stage; return its extent, as add_mesh does."""
     volumes, vt = needed("pxr.UsdVol", "USD"), needed("pxr.Vt", "USD")
     prim = volumes.ParticleField3DGaussianSplat.Define(stage, USD_SPLATS)
 
@@ -162,5 +191,6 @@ def add_splats(stage: Any, splats: Gaussians) -> None:
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(round(bands**0.5) - 1)
     # Particle by particle, as primvars with that many elements each are.
     prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(floats(splats.harmonics.reshape(-1, 3), "Vec3fArray"))
-    low, high = (splats.centers - reach).min(0), (splats.centers + reach).max(0)
-    prim.CreateExtentAttr(floats(np.stack([low, high]), "Vec3fArray"))
+    extent = np.stack([(splats.centers - reach).min(0), (splats.centers + reach).max(0)])
+    prim.CreateExtentAttr(floats(extent, "Vec3fArray"))
+    return extent

@@ -48,6 +48,8 @@ class _View:
 
 def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
     """Write the splats in every chosen format; return the files and the figures."""
+    if USD_FORMATS & set(job.config.chosen):
+        splat_files.check_usd()  # before anything is computed
     splats, figures = splats_of(job)
     names = dict.fromkeys(job.config.chosen) | ({"ply": None} if USD_FORMATS & set(job.config.chosen) else {})
     return [written(job, name, splats) for name in names], figures
@@ -65,6 +67,7 @@ def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
         except InvalidValue as error:
             raise BadInput(f"{job.inputs['field'].path}: {error}") from error
         start = on_surfaces(placed, min(getattr(job.field.color, "degree", 0), 2), job.context.threads)
+        job.check_precision(start.centers, np.exp(start.log_scales).max(1))
         optimizer = SplatOptimizer(start, NEAR * job.scene.bounds.near, job.context.threads)
         _optimize(job, optimizer, views, began)
         splats = optimizer.result()
@@ -176,6 +179,9 @@ def written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
     elif name == "spz":
         bits = splat_files.write_spz(path, placed)
         to.notes["position_step"] = 2.0**-bits
+        if lost := splat_files.lost_in_spz(placed, bits):
+            other = "another format" if job.config.units == "scene" else "--units scene, or in another format"
+            job.say(f"{to.path} is coarse: {lost}; export with {other}")
     elif name == "glb":
         splat_files.write_glb(path, placed)
     else:

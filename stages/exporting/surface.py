@@ -1,6 +1,7 @@
 """The surface of the exported field with its colors, for meshes and shots."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def surface_of(job: ExportJob) -> Surface:
     """Return what the training cameras see of the field; BadInput if that is nothing."""
     config, field, progress, threads = job.config, job.field, job.context.progress, job.context.threads
     if config.faces:
-        needed("fast_simplification", "--faces")  # before anything is computed
+        _simplifier(config.faces)  # before anything is computed
     train = job.scene.splits["train"]
     cameras = [job.scene.cameras[view] for view in spread(train, min(VIEWS, len(train)))]
     tolerance = BEHIND * cell_size(field.space, config.resolution)
@@ -69,6 +70,7 @@ def surface_of(job: ExportJob) -> Surface:
             + ("" if field.space.kind == "box" else f" within --reach {config.reach:g}")
         )
     mesh = decimated(mesh, config.faces)
+    job.check_precision(mesh.vertices[mesh.faces[:, 0]], np.sqrt(2 * mesh.areas()))
     normals = mesh.normals()
     progress.say(f"coloring {len(mesh.vertices):,} vertices of {len(mesh.faces):,} triangles")
     colors = vertex_colors(field, mesh.vertices, normals, views, tolerance, threads)
@@ -79,7 +81,7 @@ def decimated(mesh: Mesh, faces: int) -> Mesh:
     """Return the mesh with at most `faces` faces (0: all), by quadric edge collapse (Garland and Heckbert 1997)."""
     if not 0 < faces < len(mesh.faces):
         return mesh
-    library = needed("fast_simplification", "--faces")
+    library = _simplifier(faces)
     # Centered and scaled: it computes in float32, which large coordinates would exhaust.
     middle = mesh.vertices.mean(0)
     size = max(float(np.abs(mesh.vertices - middle).max()), 1e-30)
@@ -90,3 +92,7 @@ def decimated(mesh: Mesh, faces: int) -> Mesh:
     )
     made = Mesh(vertices.astype(np.float64) * size + middle, triangles.astype(np.int64))
     return made.with_faces(made.areas() > 0)
+
+
+def _simplifier(faces: int) -> Any:
+    return needed("fast_simplification", f"a mesh of at most {faces:,} triangles (--faces 0: of all)")

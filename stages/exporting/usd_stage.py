@@ -37,7 +37,7 @@ def add_camera(stage: Any, cameras: list[Camera], near_far: tuple[float, float])
 
     Args:
         cameras: in the coordinates of the stage.
-        near_far: clipping range, units of the stage.
+        near_far: clipping range, units of the stage; programs cut off what is outside.
     """
     geometry, gf = needed("pxr.UsdGeom", "USD"), needed("pxr.Gf", "USD")
     prim = geometry.Camera.Define(stage, CAMERA)
@@ -67,6 +67,12 @@ def add_camera(stage: Any, cameras: list[Camera], near_far: tuple[float, float])
         _add_settings(stage, cameras[0])
 
 
+def farthest(cameras: list[Camera], extent: np.ndarray) -> float:
+    """Return the largest depth, in any of the cameras, of a box given by its lower and upper corner [2, 3]."""
+    corners = np.stack(np.meshgrid(*extent.T), -1).reshape(-1, 3)
+    return max(float(((corners - one.center) @ one.forward).max()) for one in cameras)
+
+
 def film_of(camera: Camera) -> dict[str, float]:
     """Return focal length, apertures and offsets of a camera, by the names of USD's attributes.
 
@@ -94,8 +100,8 @@ def _add_settings(stage: Any, camera: Camera) -> None:
     stage.SetMetadata("renderSettingsPrimPath", SETTINGS)
 
 
-def add_mesh(stage: Any, points: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
-    """Add a triangle mesh with linear vertex colors.
+def add_mesh(stage: Any, points: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """Add a triangle mesh with linear vertex colors; return its extent, lower and upper corner [2, 3].
 
     Args:
         points, normals: [n, 3], coordinates of the stage.
@@ -110,9 +116,11 @@ def add_mesh(stage: Any, points: np.ndarray, faces: np.ndarray, normals: np.ndar
     mesh.CreateNormalsAttr(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(normals, np.float32)))
     mesh.SetNormalsInterpolation(geometry.Tokens.vertex)
     mesh.CreateSubdivisionSchemeAttr(geometry.Tokens.none)  # else viewers would smooth it as a subdivision surface
-    mesh.CreateExtentAttr(vt.Vec3fArray.FromNumpy(np.array([points.min(0), points.max(0)], np.float32)))
+    extent = np.array([points.min(0), points.max(0)])
+    mesh.CreateExtentAttr(vt.Vec3fArray.FromNumpy(extent.astype(np.float32)))
     color = mesh.CreateDisplayColorPrimvar(geometry.Tokens.vertex)
     color.Set(vt.Vec3fArray.FromNumpy(np.ascontiguousarray(colors, np.float32)))
+    return extent
 
 
 def save(stage: Any) -> None:

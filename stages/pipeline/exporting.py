@@ -24,5 +24,5 @@ def exported(runner: StageRunner, config: ExportConfig, of: str, request: Reques
 
 
 def _name(field: str, config: ExportConfig) -> str:
-    """Return the default name: FIELD-mesh, FIELD-shot, or PATH-cameras."""
+    """Return the default name: FIELD-mesh, FIELD-splats, FIELD-shot, or PATH-cameras."""
     return f"{label_of(config.along)}-cameras" if config.kind == "cameras" else f"{field}-{config.kind}"

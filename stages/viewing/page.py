@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from schemas.errors import StylerfError
+from schemas.errors import StylerfError, one_line
 from stages.artifacts.camera_shots import focus_depth
 from stages.viewing.cameras import Pose, level_up
-from stages.viewing.commands import COMMAND_WIDTH, wrapped
+from stages.viewing.commands import COMMAND_WIDTH, fenced, wrapped
 from stages.viewing.desk import Desk
 from stages.viewing.moving_splats import MovingSplats
 from stages.viewing.panels import look, paths, recolor, region, select, session, stylize
@@ -38,6 +38,7 @@ class Page:
         self.controls: dict[str, Any] = {}  # by name, for tests
         self.rest: list[Callable[[], None]] = []  # called when lists of fields, regions or runs may have changed
         self._frusta: list[Any] = []
+        self._complaint = ""  # shown last, so that it is not shown again with each line of a run
         self._splats: dict[int, MovingSplats] = {}
         server.gui.configure_theme(
             control_width="large",
@@ -123,7 +124,7 @@ class Page:
     def show_command(self, handle: Any, make: Callable[[], list[str]]) -> None:
         """Show the command of an action, or why there is none."""
         try:
-            handle.content = f"```sh\n{wrapped(make(), COMMAND_WIDTH)}\n```"
+            handle.content = fenced("sh", wrapped(self.desk.runs.whole(make()), COMMAND_WIDTH))
         except (StylerfError, ValueError) as error:
             handle.content = f"*{_plain(str(error))}*"
 
@@ -136,7 +137,12 @@ class Page:
             state = "runs" if run.code is None else "done" if run.code == 0 else f"ended with code {run.code}"
             self.status.content = f"**{run.arguments[0]}** {state}: `{_plain(self.within(run.last))[:160]}`"
         for one in self.rest:
-            one()
+            try:
+                one()
+            except Exception as error:  # such as of a damaged artifact: the other lists are brought up to date
+                if (complaint := one_line(error)) != self._complaint:
+                    self._complaint = complaint
+                    self.tell(complaint, failed=True)
         if run is not None and run.code is not None:
             self.show_splats()
 

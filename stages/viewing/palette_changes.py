@@ -1,11 +1,14 @@
 """What was changed of a palette on the page, as options of `stylerf stylize`."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, get_type_hints
 
-from stages.configs import options_of
+from schemas.canonical_json import plain
+from schemas.errors import ArtifactDamaged, UsageError
+from schemas.work_folder import Artifact
+from stages.configs import default_of, options_of
 from stages.configs.edit import EditConfig, PaletteConfig, RegionConfig
+from stages.configs.typed import typed
 
 
 @dataclass(frozen=True)
@@ -25,13 +28,18 @@ class Changes:
         )
 
 
-def learned_with(made: Mapping[str, Any], changes: PaletteConfig) -> RegionConfig:
+def learned_with(edit: Artifact, changes: PaletteConfig) -> RegionConfig:
     """Return the options under which an edit was learned, with other changes of its palette.
 
-    Args:
-        made: the config in the edit's manifest.
+    Raises:
+        ArtifactDamaged: its manifest holds options that no run has had.
     """
-    given: dict[str, Any] = {item.name: made[item.name] for item in options_of(EditConfig) if item.name in made}
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
-    given |= {item.name: getattr(changes, item.name) for item in fields(PaletteConfig)}
-    return RegionConfig(**given)
+    made, kinds = edit.manifest.config, get_type_hints(EditConfig)
+    given: dict[str, Any] = {item.name: getattr(changes, item.name) for item in fields(PaletteConfig)}
+    try:
+        for item in options_of(EditConfig):
+            if item.name in made and made[item.name] != plain(default_of(item)):
+                given[item.name] = typed(made[item.name], item, kinds[item.name], item.name)
+        return RegionConfig(**given)
+    except (UsageError, ValueError, OverflowError) as error:
+        raise ArtifactDamaged(f"the manifest of {edit.path} has unknown options: {error}; rebuild it") from error

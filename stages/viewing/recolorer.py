@@ -113,7 +113,7 @@ class Recolorer:
             region = self._library.region_of_edit(artifact)
             if region is None:
                 raise UsageError(f"the region of edit {artifact.name} is gone; select it again")
-            learned = learned_with(artifact.manifest.config, config)
+            learned = learned_with(artifact, config)
             return command("stylize", root, learned, region=region.name, name=named)
         merged = PaletteFieldConfig(
             palette=config.palette, palette_weight=config.palette_weight, palette_bias=config.palette_bias

@@ -8,7 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from schemas.errors import UsageError
+from schemas.errors import UsageError, one_line
 from stages.viewing.commands import script_of
 
 # Without -P, `-m` imports from the current folder first, whose files may be untrusted.
@@ -81,10 +81,17 @@ class Run:
         for line in self._process.stdout:
             if line := line.strip():
                 self.lines.append(line)
-                self._said(self)
+                self._tell(self._said)
         self._process.stdout.close()
         self.code = self._process.wait()
-        self._ended(self)
+        self._tell(self._ended)
+
+    def _tell(self, whom: Callable[["Run"], None]) -> None:
+        """Call back; an error there, which ends nothing here, becomes a line of this run."""
+        try:
+            whom(self)
+        except Exception as error:
+            self.lines.append(f"the page could not follow: {one_line(error)}")
 
 
 class Runs:
@@ -120,8 +127,10 @@ class Runs:
                 self.commands.append(arguments)
 
             def end(run: Run) -> None:
-                self._changed()
-                ended(run)
+                try:
+                    self._changed()
+                finally:
+                    ended(run)
 
             self.present = Run(arguments, self._common, lambda run: self._changed(), end)
             self._changed()
@@ -140,4 +149,8 @@ class Runs:
 
     def script(self) -> str:
         """Return the session's commands as a shell script."""
-        return script_of(self.commands)
+        return script_of(map(self.whole, self.commands))
+
+    def whole(self, arguments: Sequence[str]) -> list[str]:
+        """Return the arguments of a command with those that every command gets."""
+        return [*arguments, *self._common]

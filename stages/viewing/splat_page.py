@@ -16,6 +16,9 @@ WORKERS_FROM_DATA = (
     "<script>{const plain=URL.createObjectURL;"
     'URL.createObjectURL=one=>/javascript/.test(one.type)?"":plain.call(URL,one)}</script>'
 )
+# Scene units from the origin beyond which splats are drawn nearer, within twice that: viser draws nothing beyond 1000
+# units, and its half floats hold no covariance of a splat larger than 255.
+NEAR_ENOUGH = 400.0
 OPAQUE_ENOUGH = 0.02  # fainter splats are left out
 
 
@@ -23,7 +26,8 @@ def gaussians(stored: StoredSplats, most: int = MOST_SPLATS) -> dict[str, np.nda
     """Return what viser draws: centers [n, 3], covariances [n, 3, 3], rgbs [n, 3] in 0..1, opacities [n, 1].
 
     Colors are those of the mean direction, since viser draws no spherical harmonics. Of more than `most` splats the
-    most visible are kept: opacity times extent.
+    most visible are kept: opacity times extent. Those of a far background are moved towards the origin and shrunk
+    alike, so that they look the same from cameras about it.
     """
     turns = stored.quaternions / np.linalg.norm(stored.quaternions, axis=1, keepdims=True)
     w, x, y, z = turns.T
@@ -36,13 +40,15 @@ def gaussians(stored: StoredSplats, most: int = MOST_SPLATS) -> dict[str, np.nda
         1,
     )
     scales = np.exp(stored.log_scales)
-    scaled = rotations * scales[:, None, :]  # R S
+    distances = np.maximum(np.linalg.norm(stored.centers, axis=1), NEAR_ENOUGH)
+    nearer = (NEAR_ENOUGH * (2 - NEAR_ENOUGH / distances) / distances)[:, None]  # 1 up to there; the order stays
+    scaled = rotations * (scales * nearer)[:, None, :]  # R S
     opacities = 1 / (1 + np.exp(-np.clip(stored.logits, -60, 60)))
     seen = opacities * np.sort(scales, 1)[:, 1:].prod(1)
     kept = np.flatnonzero(opacities > OPAQUE_ENOUGH)
     kept = kept[np.argsort(-seen[kept], kind="stable")[:most]]
     return {
-        "centers": stored.centers[kept].astype(np.float32),
+        "centers": (stored.centers * nearer)[kept].astype(np.float32),
         "covariances": (scaled @ scaled.transpose(0, 2, 1))[kept].astype(np.float32),
         "rgbs": np.clip(0.5 + C0 * stored.harmonics[kept, 0], 0, 1).astype(np.float32),
         "opacities": opacities[kept, None].astype(np.float32),

@@ -20,7 +20,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "finetune": ("stylerf_cli.verbs.finetune", "train a field on an edit"),
     "edit": ("stylerf_cli.verbs.edit", "select a region, recolor or stylize it, and train the field, in one command"),
     "render": ("stylerf_cli.verbs.render", "render a field along a camera path: EXR with depth, PNG, video"),
-    "export": ("stylerf_cli.verbs.export", "export a mesh, cameras or a whole shot for other programs"),
+    "export": ("stylerf_cli.verbs.export", "export a mesh, splats, cameras or a whole shot for other programs"),
     "eval": ("stylerf_cli.verbs.eval_", "measure quality, style, consistency and cost of a field"),
     "compare": ("stylerf_cli.verbs.compare", "compare fits, stylizations and edits: quality against cost"),
     "stress": ("stylerf_cli.verbs.stress", "test methods under faults: success rates, regressions against a baseline"),

@@ -34,11 +34,17 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "stlpips_pytorch": ("weights of the ST-LPIPS metric", False),
     "av": ("MP4 video", False),
     "viser": ("the viewer in the browser", False),
+    "pygltflib": ("exported meshes as GLB", False),
+    "fast-simplification": ("exported meshes of fewer triangles (--faces)", False),
+    "usd-core": ("exports as USD", False),
+    "gsply": ("splats as SPZ", False),
     "triton": ("compiled kernels on CUDA", False),
 }
 HOW = {
     "av": "pip install 'stylerf[video]'",
     "viser": "pip install 'stylerf[view]'",
+    **dict.fromkeys(("pygltflib", "fast-simplification", "usd-core"), "pip install 'stylerf[export]'"),
+    "gsply": "pip install 'stylerf[export]', with Python 3.11 to 3.13",
     "stlpips_pytorch": "pip install 'stylerf[perceptual]'",
     "triton": "comes with a CUDA build of torch, on Linux",
 }

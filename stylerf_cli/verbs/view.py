@@ -36,7 +36,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Serve until interrupted; return the address."""
     from stages.pipeline.resources import usable_threads
     from stages.viewing.server import Viewer
-    from stylerf_cli.output import write_lines
+    from stylerf_cli.output import write_fault, write_lines
 
     common = session.common
     for flag, why in (("force", "the page asks before it replaces anything"), ("only", "the page runs whole edits")):
@@ -45,8 +45,11 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     threads = common.threads or usable_threads()
     viewer = Viewer(args.work, session.config, threads, args.of, session.say, passed_on(args, common))
     try:
-        if not session.json:
-            write_lines([f"{viewer.url}  (Ctrl-C ends the viewer)"])
+        address = f"{viewer.url}  (Ctrl-C ends the viewer)"
+        if session.json:  # stdout is for the result
+            write_fault(address)
+        else:
+            write_lines([address])
         if session.config.open:
             webbrowser.open(viewer.url)
         viewer.wait()

@@ -4,6 +4,7 @@ import re
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -243,3 +244,12 @@ def test_no_verb_takes_a_digest_and_each_help_is_whole(verb, capsys):
     short = capsys.readouterr().out
     assert "digest" not in whole and "--help-all" in short and "--memory" in whole and "--memory" not in short
     assert set(re.findall(r"--[a-z-]+", short)) <= set(re.findall(r"--[a-z-]+", whole))
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_view_says_its_address_as_it_begins(options, tmp_path, monkeypatch, capsys):
+    said = []
+    waits = SimpleNamespace(url="http://here", close=lambda: None, wait=lambda: said.extend(capsys.readouterr()))
+    monkeypatch.setattr("stages.viewing.server.Viewer", lambda *given: waits)
+    assert main(["view", str(tmp_path), "--no-open", *options]) == 0
+    assert ["http://here" in text for text in said] == ([False, True] if options else [True, False])

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from schemas.work_folder import WorkFolder
+from stages.configs.export import FORMATS
 from stylerf_cli.main import main
 
 
@@ -41,3 +42,9 @@ def test_what_cannot_be_is_refused_in_one_line(work, capsys, options, said):
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and said in lines[0]
     assert not list((work / "export").glob("*-*/")) if (work / "export").exists() else True
+
+
+def test_the_help_names_every_kind_and_format(capsys):
+    assert main(["export", "--help"]) == 0
+    words = capsys.readouterr().out.replace(",", " ").replace(";", " ").replace(":", " ").split()
+    assert {*FORMATS, *(name for names in FORMATS.values() for name in names)} <= set(words)

@@ -7,7 +7,9 @@ import types
 import pytest
 
 from schemas.work_folder import InputRef, Recipe, WorkFolder
+from stages.exporting import libraries
 from stylerf_cli.main import main
+from stylerf_cli.verbs.doctor import HOW, PACKAGES
 
 
 @pytest.fixture
@@ -135,6 +137,10 @@ def test_doctor_tells_what_is_here_and_how_to_get_the_rest(capsys, monkeypatch, 
     assert {check["topic"] for check in result["checks"]} == {
         "python", "packages", "device", "kernels", "weights", "disk"
     }  # fmt: skip
+
+
+def test_doctor_looks_for_everything_that_exports_and_the_viewer_import():
+    assert {*libraries.PACKAGES.values(), "viser"} <= set(PACKAGES) and set(libraries.PACKAGES.values()) <= set(HOW)
 
 
 def test_doctor_tells_a_cache_that_cannot_be_written(capsys, monkeypatch):

@@ -3,7 +3,7 @@
 from typing import Any
 
 from schemas.atomic_write import make_folder, write_bytes
-from stages.viewing.commands import COMMAND_WIDTH, wrapped
+from stages.viewing.commands import COMMAND_WIDTH, fenced, wrapped
 
 
 def add(page: Any) -> None:
@@ -16,12 +16,10 @@ def add(page: Any) -> None:
     said = gui.add_markdown("")
 
     def listing() -> None:
-        lines = [wrapped(one, COMMAND_WIDTH) for one in runs.commands]
-        listed.content = "```sh\n" + "\n".join(lines) + "\n```" if lines else "no command has run yet"
+        lines = [wrapped(runs.whole(one), COMMAND_WIDTH) for one in runs.commands]
+        listed.content = fenced("sh", "\n".join(lines)) if lines else "no command has run yet"
         run = runs.present
-        said.content = (
-            "```text\n" + page.within("\n".join(list(run.lines)[-12:])).replace("```", "") + "\n```" if run else ""
-        )
+        said.content = fenced("text", page.within("\n".join(list(run.lines)[-12:]))) if run else ""
 
     def resumed(event: Any) -> None:
         if runs.present is not None:

@@ -1,11 +1,13 @@
 """Exported cameras come back as they were: by `import`, by `render --path`, and by the tools' own readers."""
 
 import json
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from schemas.scene import read_scene, write_scene
 from schemas.work_folder import Artifact, Recipe, WorkFolder
@@ -14,6 +16,8 @@ from stages.artifacts.camera_files import read_cameras
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.world_axes import file_from_scene
 from stages.configs.render import RenderConfig
+from stages.exporting import camera_lists
+from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
 from tests.stages.exporting.fixture import exported
 from tests.stages.importing import Said, imported
@@ -116,6 +120,9 @@ def test_the_usd_camera_projects_as_the_scene_does(bent, tmp_path):
     stage, data = Usd.Stage.Open(str(made.path / "cameras.usda")), load_scene(bent)
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     to_file = file_from_scene(data, "source", "y")
+    scale = np.cbrt(np.linalg.det(to_file[:3, :3]))
+    near, far = UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetClippingRangeAttr().Get()
+    assert near < 0.1 * data.bounds.near * scale and far > 20 * data.bounds.far * scale  # splats of a background too
     point = data.cameras[0].unproject(np.array([[7.0, 9.0]]), np.array([2.0]))
     for time, own in enumerate(data.cameras, start=1):
         frustum = UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetCamera(time).frustum
@@ -140,6 +147,26 @@ def test_chan_turns_about_z_then_x_then_y(scene, tmp_path):
         np.testing.assert_allclose(about_y @ about_x @ about_z, pose[:3, :3] @ np.diag([1, -1, -1]), atol=1e-9)
         np.testing.assert_allclose([x, y, z], pose[:3, 3], rtol=1e-9)
         assert np.tan(np.radians(fov / 2)) == pytest.approx(own.height / 2 / own.fy)
+
+
+def test_chan_angles_never_jump_around_an_orbit_or_straight_down(tmp_path):
+    def camera(*turns: float) -> Camera:
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("YXZ", turns, degrees=True).as_matrix() @ np.diag([1, -1, -1])
+        return Camera("one", 64, 48, 60.0, 60.0, 32.0, 24.0, pose)
+
+    around = [camera(angle, -20, 0) for angle in range(0, 720, 30)]
+    over = [camera(10, angle, 5) for angle in range(-75, 285, 30)]  # the angles of a rotation have rx in -90..90
+    for cameras in (around, over):
+        camera_lists.write_chan(tmp_path / "orbit.chan", cameras)
+        angles = np.loadtxt(tmp_path / "orbit.chan")[:, 4:7]
+        np.testing.assert_allclose(np.abs(np.diff(angles, axis=0)).max(1), 30, atol=1e-9)
+        for (rx, ry, rz), one in zip(angles, cameras, strict=True):
+            rotation = Rotation.from_euler("YXZ", [ry, rx, rz], degrees=True).as_matrix()
+            np.testing.assert_allclose(rotation, camera_lists.opengl_pose(one)[:3, :3], atol=1e-9)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        camera_lists.write_chan(tmp_path / "down.chan", [camera(0, -90, 0)])
 
 
 def test_a_path_has_its_cameras_and_no_photos(scene, tmp_path):

@@ -1,6 +1,7 @@
 """Exported meshes and shots, read back by other libraries: where things are, which way is up, what colors they have."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -41,7 +42,9 @@ def inputs(tmp_path_factory) -> dict[str, Artifact]:
     for view in content.views:
         (begun.path / view.image).parent.mkdir(exist_ok=True)
         (begun.path / view.image).write_bytes((plain.path / view.image).read_bytes())
-    write_scene(begun.path, replace(content, scene_from_source=tuple(map(tuple, SCENE_FROM_SOURCE.tolist()))))
+    near_by = replace(content.bounds, far=1.0)  # as those of a capture, which shows more than its bounds
+    matrix = tuple(map(tuple, SCENE_FROM_SOURCE.tolist()))
+    write_scene(begun.path, replace(content, scene_from_source=matrix, bounds=near_by))
     scene = begun.commit()
     field = solid(lambda points: ball(points - CENTER), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
     made = commit(work, "field", "fit", "nerf_fit", {"scene": scene}, lambda at: save_field(at, field, "white"))
@@ -155,10 +158,12 @@ def test_a_shot_holds_camera_and_mesh_and_complies(inputs, made, tmp_path, forma
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/shot/mesh"))
     positions, *_ = read_glb(made.path / "mesh.glb")
     np.testing.assert_allclose(np.array(mesh.GetPointsAttr().Get()), positions, atol=1e-5)
+    near, far = np.array(UsdGeom.Camera(stage.GetPrimAtPath("/shot/camera")).GetClippingRangeAttr().Get()) * 10
     # The camera looks at the ball: it comes back as one of the scene's orbit.
     for camera in read_cameras(path, load_scene(inputs["scene"])).cameras:
         assert (camera.center - CENTER) @ camera.forward < 0
         pixel, depth = camera.project(CENTER[None])
+        assert near < depth - 0.5 and depth + 0.5 < far < depth + 3
         assert depth > 0 and 0 < pixel[0, 0] < camera.width and 0 < pixel[0, 1] < camera.height
 
 
@@ -182,6 +187,26 @@ def test_a_shot_of_splats_holds_the_splats_of_the_field_where_its_mesh_is(inputs
     assert len(read_cameras(path, load_scene(inputs["scene"])).cameras) == 4
 
 
+def far_from_its_origin(scene: Artifact, work: WorkFolder) -> Artifact:
+    """The scene with the source coordinates of a map: UTM, in meters; the ball is 0.1 wide."""
+    content = read_scene(scene.path)
+    matrix = SCENE_FROM_SOURCE @ similarity(1.0, np.eye(3), -np.array([500000.0, 4649776.0, 100.0]))
+    begun = work.begin("scene", "main", Recipe("pose_import", 1, {"far": True}, []))
+    for view in content.views:
+        (begun.path / view.image).parent.mkdir(exist_ok=True)
+        (begun.path / view.image).write_bytes((scene.path / view.image).read_bytes())
+    write_scene(begun.path, replace(content, scene_from_source=tuple(map(tuple, matrix.tolist()))))
+    return begun.commit()
+
+
+@pytest.mark.parametrize("options", [SMALL, {"kind": "splats", "splats": 500, "budget": "1"}])
+def test_coordinates_that_float32_would_blur_are_refused(inputs, tmp_path, options):
+    far = inputs | {"scene": far_from_its_origin(inputs["scene"], WorkFolder(tmp_path / "work"))}
+    with pytest.raises(BadInput, match=r"reach 4\.65e\+06, .* are 0\.5 apart, .*; export with --units scene"):
+        exported(tmp_path / "made", far, formats="ply", **options)
+    exported(tmp_path / "made", far, formats="ply", units="scene", **options)
+
+
 def test_a_field_of_nothing_is_refused(inputs, tmp_path):
     work = WorkFolder(tmp_path / "work")
     field = solid(lambda points: np.full(len(points), 9.0), SpaceWarp.box([-1, -1, -1], [1, 1, 1]), 16)
@@ -196,6 +221,13 @@ def test_a_missing_library_is_named_with_the_command_that_installs_it(inputs, tm
     monkeypatch.setitem(libraries.PACKAGES, "pygltflib_that_is_not_there", "pygltflib")
     with pytest.raises(UsageError, match=r"--format glb needs pygltflib.*pip install 'stylerf\[export\]'"):
         exported(tmp_path, inputs, **SMALL)
+
+
+def test_a_mesh_without_the_library_for_fewer_triangles_says_what_to_do(inputs, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "fast_simplification", None)
+    with pytest.raises(UsageError, match=r"at most 2,000 triangles \(--faces 0: of all\) needs fast-simplif.*pip"):
+        exported(tmp_path, inputs, **SMALL, formats="ply")
+    exported(tmp_path, inputs, **SMALL | {"faces": 0}, formats="ply")
 
 
 @pytest.mark.parametrize(

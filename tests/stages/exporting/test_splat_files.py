@@ -77,6 +77,22 @@ def test_spz_gives_up_precision_for_reach_and_refuses_what_does_not_fit(tmp_path
         splat_files.write_spz(tmp_path / "t.spz", beyond)
 
 
+@pytest.mark.parametrize("size", [1e-3, 1.0, 500.0])
+def test_spz_holds_small_and_large_splats_or_says_what_it_loses(tmp_path, size):
+    gsply, one = pytest.importorskip("gsply"), splats(1)
+    log_scales = one.log_scales + np.float32(np.log(size))
+    written = one._replace(centers=one.centers * np.float32(size), log_scales=log_scales)
+    bits = splat_files.write_spz(tmp_path / "s.spz", written)
+    read = gsply.read_spz(tmp_path / "s.spz")
+    errors = np.abs(np.asarray(read.means) - written.centers).max()
+    assert errors < 0.1 * np.median(np.exp(log_scales.max(1))), bits
+    clamped = (np.abs(np.asarray(read.scales) - log_scales) > 1 / 31).any(1).sum()
+    said = splat_files.lost_in_spz(written, bits)
+    assert said.startswith(f"{clamped} of 50 splats are smaller") if clamped else said == ""
+    assert bool(clamped) == (size == 1e-3)
+    assert "positions are in steps of 0.5" in splat_files.lost_in_spz(one, 1)
+
+
 def test_glb_has_the_same_numbers_for_pygltflib(tmp_path):
     pygltflib, written = pytest.importorskip("pygltflib"), splats(4)
     splat_files.write_glb(tmp_path / "s.glb", written)

@@ -1,6 +1,8 @@
 """Splats of a solid ball: where they are, what they look like from held-out views, and what is refused."""
 
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from schemas.errors import BadInput, UsageError
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.field import save_field
 from stages.configs.export import ExportConfig
-from stages.exporting import libraries
+from stages.exporting import libraries, splats
 from stylerf.geometry.space_warp import SpaceWarp
 from tests.stages.evaluation_fixture import commit
 from tests.stages.exporting.fixture import exported
@@ -81,6 +83,13 @@ def test_a_usd_file_of_splats_has_a_ply_beside_it(inputs, tmp_path):
     assert len(positions) == len(centers_of(made.path / "splats.ply"))
 
 
+def test_an_openusd_without_splats_is_refused_before_anything_is_computed(monkeypatch):
+    monkeypatch.delattr(pytest.importorskip("pxr.UsdVol"), "ParticleField3DGaussianSplat", raising=False)
+    job = SimpleNamespace(config=ExportConfig(kind="splats", formats="ply,usdc"))
+    with pytest.raises(UsageError, match=r"need OpenUSD 26\.03 or later"):
+        splats.write(job)
+
+
 def test_a_field_that_shows_nothing_is_refused(inputs, tmp_path):
     work = WorkFolder(tmp_path / "work")
     empty = solid(lambda points: ball(points - 9.0), SpaceWarp.box([-1, -1, -1], [1, 1, 1]))
@@ -107,4 +116,14 @@ def test_missing_libraries_are_named(monkeypatch):
     monkeypatch.setitem(libraries.PACKAGES, "no_such_library", "gsply")
     monkeypatch.setitem(libraries.OF_FORMATS, "spz", "no_such_library")
     with pytest.raises(UsageError, match="gsply"):
-        libraries.check_formats(("spz",))
+        libraries.check_formats("splats", ("spz",))
+    monkeypatch.setattr(libraries.sys, "version_info", (3, 14))
+    with pytest.raises(UsageError, match=r"no wheel for Python 3\.14, so choose another format"):
+        libraries.needed("no_such_library", "--format spz")
+
+
+def test_splats_as_glb_need_no_library(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygltflib", None)
+    libraries.check_formats("splats", ("glb", "ply"))
+    with pytest.raises(UsageError, match="--format glb needs pygltflib"):
+        libraries.check_formats("mesh", ("glb",))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from schemas.errors import UsageError
+from schemas.errors import ArtifactDamaged, UsageError
 from stages import recolor, region_select
 from stages.artifacts.edit import Edit, save_edit
 from stages.artifacts.field import load_field
@@ -69,6 +69,11 @@ def test_a_regions_palette_shows_on_the_region_alone_and_is_kept(desk):
     args, config = config_of(desk.recolorer.command("pink"))
     assert (args.region, args.name, config.recolor, config.colors, config.max_colors) == ("half", "pink", True, 6, 4)
     assert config.palette == ("1=#ff00ff",)
+    for wrong in ({"colors": "8"}, {"crop": 1}, {"palette_steps": -5}, {"stroke": [1.0]}, {"offset_weight": 10**400}):
+        made.commit(work, "edit", "half", "edit_learn", {**inputs, "region": half}, write, config=learned | wrong)
+        with pytest.raises(ArtifactDamaged, match=r"has unknown options: .*; rebuild it"):
+            desk.recolorer.command("pink")
+    made.commit(work, "edit", "half", "edit_learn", {**inputs, "region": half}, write, config=learned)
     camera, plain = FRONT.camera(1200), desk.library.source("plain").field
     cells = {"half": load_region(half)[0].edit}
     before, now = (

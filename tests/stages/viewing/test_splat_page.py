@@ -42,6 +42,24 @@ def test_of_too_many_splats_the_most_visible_stay():
     np.testing.assert_array_equal(made["centers"], stored.centers[[4, 3]])
 
 
+def test_a_far_background_looks_the_same_within_what_viser_draws():
+    stored = some(6)
+    directions = stored.centers / np.linalg.norm(stored.centers, axis=1, keepdims=True)
+    away = np.float32([1, 300, 2e3, 3e4, 1e5, 4e5])[:, None]
+    stored.centers[:] = directions * away
+    stored.log_scales[:] = np.log(0.1 * away)
+    stored.logits[:] = 9
+    made = gaussians(stored)
+    order = np.argsort(np.linalg.norm(made["centers"], axis=1), kind="stable")
+    distances = np.linalg.norm(made["centers"], axis=1)[order]
+    np.testing.assert_allclose(made["centers"][order] / distances[:, None], directions, atol=1e-5)
+    np.testing.assert_allclose(distances[:2], [1, 300], rtol=1e-5)
+    assert distances[-1] < 1000 and (np.diff(distances) > 0).all()
+    sizes = np.sqrt(made["covariances"][order][:, range(3), range(3)])
+    np.testing.assert_allclose(sizes / distances[:, None], 0.1, rtol=1e-4)
+    assert made["covariances"].max() < np.finfo(np.float16).max
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian: apt-get install chromium)")
 def test_the_page_opens_without_a_server(tmp_path):
     pytest.importorskip("viser")
