@@ -183,11 +183,11 @@ def copy_of(base: Path | None, parent: Path) -> Iterator[Path]:
 def contents(work: Path) -> dict[str, dict[str, str]]:
     """Return the digest of every file of every artifact, and the outcomes of a stress test without their durations.
 
-    Of reports, whose files state durations too, it is the figures.
+    Of reports, whose files state durations too, it is the figures, without the number of runs that a report took.
     """
     store = WorkFolder(work)
     found = {
-        f"{one.kind}/{one.name}": {key: repr(value) for key, value in one.manifest.figures.items()}
+        f"{one.kind}/{one.name}": {key: repr(value) for key, value in one.manifest.figures.items() if key != "runs"}
         if one.kind == "report"
         else {record.path: record.sha256 for record in one.manifest.files}
         for one in store.artifacts()
