@@ -82,16 +82,27 @@ class GpuField:
             self.color_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
         self._space = torch.from_numpy(field.space.packed()).to(self.device)
 
-    def march_inputs(self, samples_per_ray: int, min_transmittance: float) -> GpuMarchInputs:
-        """Return what a march through the field reads beside rays and density."""
+    def march_inputs(self, samples_per_ray: int, min_transmittance: float, near: float | None = None) -> GpuMarchInputs:
+        """Return what a march through the field reads beside rays and density; near: as render_rays() takes it."""
         return GpuMarchInputs(
-            self.space.code, self._space, self.space.near, self.space.far, self.step, self.distances, self.cells,
-            self.opaque_background, self.displacement, self.vertices, samples_per_ray, min_transmittance,
+            self.space.code, self._space, self.space.near if near is None else near, self.space.far, self.step,
+            self.distances, self.cells, self.opaque_background, self.displacement, self.vertices, samples_per_ray,
+            min_transmittance,
         )  # fmt: skip
 
-    def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, capacity: int | None) -> GpuSamples:
-        """March rays to samples with density and weights; capacity: most samples; None: all (waits)."""
-        inputs = self.march_inputs(samples_per_ray, min_transmittance)
+    def march(
+        self,
+        rays: GpuRays,
+        samples_per_ray: int,
+        min_transmittance: float,
+        capacity: int | None,
+        near: float | None = None,
+    ) -> GpuSamples:
+        """March rays to samples with density and weights; capacity: most samples; None: all (waits).
+
+        near: as render_rays() takes it.
+        """
+        inputs = self.march_inputs(samples_per_ray, min_transmittance, near)
         return launch.march_density(inputs, self.density, rays, capacity)
 
     def render_rays(
@@ -102,9 +113,15 @@ class GpuField:
         min_transmittance: float = 1e-3,
         weight_threshold: float = 2e-2,
         samples_per_ray: int = SAMPLES_PER_RAY,
+        near: float | None = None,
     ) -> GpuRendered:
-        """Render rays as render_rays() in rendering/rays.py does; capacity: as march() takes it."""
-        samples = self.march(rays, samples_per_ray, min_transmittance, capacity)
+        """Render rays as render_rays() in rendering/rays.py does.
+
+        Args:
+            capacity: as march() takes it.
+            near: distance where marching starts, scene units; None: that of the space.
+        """
+        samples = self.march(rays, samples_per_ray, min_transmittance, capacity, near)
         if self.blend is None:
             colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
             unmapped = launch.composite(samples, colors)

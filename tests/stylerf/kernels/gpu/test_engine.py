@@ -338,14 +338,16 @@ def test_a_view_is_the_cpus_picture(device):
     assert expected.masks["one"].any()
 
 
-@pytest.mark.parametrize(("transmittance", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
-def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, backs, z, device):
+@pytest.mark.parametrize(("transmittance", "backs", "ahead", "z"), [(0.02, 0, 0, 3), (0.6, 1, 0, 6), (0.02, 0, 2.3, 3)])
+def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, backs, ahead, z, device):
     from stylerf.rendering.view_gpu import GpuRenderer
 
-    field, camera = wall_in_front(transmittance, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
+    pose = np.eye(4)
+    pose[2, 3] = ahead
+    field, camera = wall_in_front(transmittance, bool(backs)), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, pose)
     expected = render_view(field, camera, threads=1)
     found = GpuRenderer(field, device, "float32").view(camera)
-    np.testing.assert_allclose(found.z, z, rtol=0.05)
+    np.testing.assert_allclose(ahead + found.z, z, rtol=0.05)
     # Skips of empty cells are whole numbers of steps, 4 to a cell here: rounding decides between two of them, and a
     # sample may lie a step apart, which is z^2 / 384 of depth.
     np.testing.assert_allclose(found.z, expected.z, atol=z**2 / 384)
