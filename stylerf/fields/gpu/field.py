@@ -128,13 +128,7 @@ class GpuField:
         else:
             colors = torch.empty((0, 3), device=self.device)  # each layer has its own
             unmapped = self.blend.composited(samples, rays.directions)
-        out = unmapped
-        if self.color_map is not None:
-            matrix, offset = self.color_map
-            # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
-            rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
-            out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
-        return GpuRendered(out, unmapped, rays, samples, colors)
+        return GpuRendered(mapped(unmapped, self.color_map), unmapped, rays, samples, colors)
 
     def backward(
         self, rendered: GpuRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
@@ -170,6 +164,16 @@ class GpuField:
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()
         field.occupancy.set_occupied(self.distances.cpu().numpy() == 0)
+
+
+def mapped(out: Tensor, color_map: tuple[Tensor, Tensor] | None) -> Tensor:
+    """Return composited rays [rays, 5], their colors mapped by (matrix, offset); see mapped() in rendering/rays.py."""
+    if color_map is None:
+        return out
+    matrix, offset = color_map
+    # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
+    rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
+    return torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
 
 
 # -- occupancy ---------------------------------------------------------------------------------------------------------

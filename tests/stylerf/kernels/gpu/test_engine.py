@@ -19,6 +19,7 @@ from stylerf.training.common.async_readback import BEHIND
 from stylerf.training.common.process_group import ProcessGroup
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit.fitter import Fitter
+from tests.stylerf.blends import MILD
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
     SPARSE,
@@ -380,6 +381,7 @@ def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
 
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0
+    field.color_map = MILD if over else None  # a part keeps the map of the whole
     cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, device)
     marked = np.zeros((4, 4, 4), bool)
     marked[:, :2] = True
