@@ -382,7 +382,7 @@ def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0
     field.color_map = MILD if over else None  # a part keeps the map of the whole
-    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, device)
+    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, 1, 0, device=device)
     marked = np.zeros((4, 4, 4), bool)
     marked[:, :2] = True
     field.color = RegionColor(field.color, hash_color(6), marked) if over else hash_color(6)
