@@ -26,6 +26,7 @@ from stylerf.fields.marching import ScratchArena
 from stylerf.fields.palette_edits import Recoloring, recolored
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
+from stylerf.kernels.cpu.regions import MIN_ODDS
 from stylerf.kernels.cpu.simd_hash import ROW
 
 if TYPE_CHECKING:  # torch takes more than a second to import, and fields without a palette are rendered without it
@@ -266,7 +267,8 @@ class PaletteColor:
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
             shown = self._shown(*self.parts(rest, phi, torch.from_numpy(basis[rays])), x[index])
-            of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(color_gradients[index]))
+            towards = color_gradients[index] * _through_region(shown.detach().numpy(), colors[index])
+            of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(towards))
             gradients[part] = of_phi.numpy()
             own += of_rest.numpy()
         return packed, gradients, own
@@ -283,6 +285,12 @@ class PaletteColor:
         edits = [Recoloring.restore(edit) for edit in validation.entry(data, "edits", list)]
         features = HashFeatures.restore(validation.entry(data, "features"))
         return cls(features, validation.integer(data, "bases", 1, MOST_BASES), values, edits)
+
+
+def _through_region(own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return d(shown) / d(own) [n, 3]: under a region's color sigmoid(logit(own) + f) is shown, elsewhere `own`."""
+    slope = shown * (1 - shown) / np.maximum(own * (1 - own), MIN_ODDS)
+    return np.where(shown == own, np.float32(1), slope)
 
 
 def _mixtures(parts: Parts, palette: "Tensor", x: np.ndarray) -> np.ndarray:
