@@ -34,6 +34,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import, and fields withou
 
 POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
+MOST_EDITS = 100  # each is evaluated at every point
 DEGREE = 2
 VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
 MIN_WEIGHT = 0.05  # before normalization
@@ -127,6 +128,11 @@ class PaletteColor:
         expected = features.length + 3 * bases + self.head.length
         if values.shape != (expected,) or values.dtype != np.float32:
             raise InvalidValue(f"palette color: {values.shape} values where {expected} float32 ones were expected")
+        if len(edits) > MOST_EDITS:
+            raise InvalidValue(
+                f"palette color: {len(edits)} edits upon one another, and {MOST_EDITS} are the most; "
+                "make the changes of several at once, on the field before them"
+            )
         self.bases, self.values, self.edits = bases, values, tuple(edits)
         for edit in self.edits:
             edit.changes.check(bases)
@@ -142,7 +148,7 @@ class PaletteColor:
         return cls(features, len(palette), np.concatenate(parts))
 
     def edited(self, edit: Recoloring) -> "PaletteColor":
-        """Return the color with one more edit; `values` are shared."""
+        """Return the color with one more edit; `values` are shared. InvalidValue if it has MOST_EDITS already."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     @property

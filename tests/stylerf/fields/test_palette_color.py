@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_color import MOST_EDITS, PaletteColor
 from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
@@ -186,6 +186,19 @@ def test_gradients_of_an_edited_color_pass_through_the_edit():
         )
         expected = float(((above - below) * float64(gradients[at])).sum()) / 2e-7
         assert float(to[0, color.features.length :] @ way.numpy()) == pytest.approx(expected, rel=1e-4, abs=1e-4)
+
+
+def test_more_edits_than_can_be_read_back_are_not_made():
+    color = made()
+    for _ in range(MOST_EDITS):
+        color = color.edited(Recoloring(view_scale=0.5))
+    assert len(PaletteColor.restore(color.describe(), color.values).edits) == MOST_EDITS
+    with pytest.raises(InvalidValue, match="101 edits upon one another, and 100 are the most"):
+        color.edited(Recoloring())
+    data = color.describe()
+    data["edits"] *= 2
+    with pytest.raises(InvalidValue, match="200 edits"):
+        PaletteColor.restore(data, color.values)
 
 
 def test_values_and_edits_that_do_not_fit_are_refused():
