@@ -36,12 +36,15 @@ def run(inputs: dict[str, Artifact], config: RecolorConfig, partial: PartialArti
         changes.check(len(columns))
     except InvalidValue as error:
         raise BadInput(f"{source.path}: {error}; see {source.path / PALETTE}") from error
-    within = None
-    if config.local:
-        within = _filter(load_scene(inputs["scene"]), field, config, set_threads(context.threads))
     changes = by_column(changes, columns)
-    edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
-    field.color = color.edited(edit)
+    try:
+        within = None
+        if config.local:
+            within = _filter(load_scene(inputs["scene"]), field, config, set_threads(context.threads))
+        edit = Recoloring(changes, config.offset_scale, config.view_scale, within)
+        field.color = color.edited(edit)
+    except InvalidValue as error:
+        raise BadInput(f"{source.path}: {error}") from error
     totals = kept_details(source, changes)
     save_field(partial.path, field, background)
     save_palette(partial.path, color.palette, field.color.present_palette, shares, totals)

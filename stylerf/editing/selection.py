@@ -130,7 +130,7 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
 def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, threads: int) -> tuple[np.ndarray, ...]:
     """Return where the rays of pixels end, as weighted means of their samples: x [n, 3] in the cube, and alpha [n]."""
     origins, directions = camera.rays(pixels)
-    s = field.march(Rays.of(origins, directions, field.space.near), SAMPLES_PER_RAY, 1e-3, threads)
+    s = field.march(Rays.of(origins, directions, field.space.view_start(camera.center)), SAMPLES_PER_RAY, 1e-3, threads)
     out = np.empty((len(pixels), 6), np.float32)
     ends_inside(np.ones(1, bool), 1, s.shading_points(), s.t, threads, out)  # one cell: the whole cube
     return out[:, 3:] / np.maximum(out[:, :1], 1e-8), out[:, 0]

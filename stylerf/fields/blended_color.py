@@ -23,6 +23,7 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 MOST_LAYERS = 32  # those of blended blends included; each is evaluated for every picture
 ROUNDING = 1e-6  # of a sum of weights
+MOST_BLENDS = 8  # nested in one another
 EVERYWHERE = np.ones((1, 1, 1), np.bool_)
 
 
@@ -60,7 +61,17 @@ class BlendedColor:
             raise InvalidValue(f"blend: weights of 0 to 1 that add up to 1 were expected, not {everywhere}")
         if (count := len(self.simple)) > MOST_LAYERS:
             raise InvalidValue(f"blend: {count} layers, and {MOST_LAYERS} are the most")
+        if self.depth > MOST_BLENDS:
+            raise InvalidValue(
+                f"blend: {self.depth} blends within one another, and {MOST_BLENDS} are the most; blend the fields that "
+                "the inner ones mix"
+            )
         self.values = np.empty(0, np.float32)
+
+    @property
+    def depth(self) -> int:
+        """The number of blends that are nested, this one included."""
+        return 1 + max((one.color.depth for one in self.layers if isinstance(one.color, BlendedColor)), default=0)
 
     @property
     def simple(self) -> list[Layer]:

@@ -40,7 +40,8 @@ def blended(source: RadianceField, styles: Sequence[Style]) -> RadianceField:
         styles: in any order; of two regions that overlap, the later one is on top.
 
     Returns:
-        A field whose color is a BlendedColor. It shares the arrays of the others.
+        A field whose color is a BlendedColor, marched in the longest of their steps (a deforming field's can be longer
+        than its source's). It shares the arrays of the others.
 
     Raises:
         InvalidValue: a style has another density, or a displacement grid of another size; the weights add up to more
@@ -55,10 +56,12 @@ def blended(source: RadianceField, styles: Sequence[Style]) -> RadianceField:
     rest = [Style("", source, 1 - total)] if total < 1 - ROUNDING else []
     stacked = [*rest, *everywhere, *(style for style in styles if style.within is not None)]
     displacement = _displacement(stacked)
+    step = max(source.step, *(style.field.step for style in styles))
     return replace(
         source,
         color=BlendedColor([_layer(style) for style in stacked]),
-        occupancy=_occupancy(source, displacement),
+        occupancy=_occupancy(source, displacement, step),
+        step=step,
         displacement=displacement,
         color_map=None,
     )
@@ -80,7 +83,7 @@ def difference(source: RadianceField, field: RadianceField) -> str:
         return "its density is of another kind or size"
     if not np.array_equal(field.density.values, source.density.values):
         return "its density was trained further"
-    return "its step is another" if field.step != source.step else ""
+    return ""
 
 
 def _layer(style: Style) -> Layer:
@@ -120,12 +123,13 @@ def _inside(within: np.ndarray, x: np.ndarray) -> np.ndarray:
     return within[cell[..., 0], cell[..., 1], cell[..., 2]][..., None]
 
 
-def _occupancy(source: RadianceField, displacement: np.ndarray | None) -> OccupancyGrid:
-    """Return the occupancy of the source's density under another displacement."""
+def _occupancy(source: RadianceField, displacement: np.ndarray | None, step: float) -> OccupancyGrid:
+    """Return the occupancy of the source's density under another displacement, for a marching step (cube units)."""
     rest, own = source.occupancy, source.displacement
-    if displacement is own or (displacement is not None and own is not None and np.array_equal(displacement, own)):
+    same = displacement is own or (displacement is not None and own is not None and np.array_equal(displacement, own))
+    if same and step == source.step:
         return rest
-    if own is not None:  # it marks cells that displacement maps to something
+    if own is not None or step != source.step:  # a displaced grid marks cells that displacement maps to something
         rest = OccupancyGrid(rest.cells, rest.highest)
-        rest.decide(source.step)
+        rest.decide(step)
     return rest if displacement is None else displaced_occupancy(rest, displacement)

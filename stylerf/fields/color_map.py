@@ -1,12 +1,16 @@
 """The affine map of a stylized field's rendered colors (decision 0006)."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
 
 from stylerf import validation
 
 if TYPE_CHECKING:  # torch takes more than a second to import, and most fields are rendered without it
     from torch import Tensor
+
+Array = TypeVar("Array", "Tensor", np.ndarray)
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,10 @@ class ColorMap:
         """Premultiplied colors [..., 3] of coverage alpha [...]: A (alpha x) + alpha b = alpha (A x + b)."""
         return colors @ self.matrix.T.to(colors) + alpha[..., None] * self.offset.to(colors)
 
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and offset, float32."""
+        return self.matrix.numpy().astype(np.float32), self.offset.numpy().astype(np.float32)
+
     def describe(self) -> dict:
         return {"matrix": self.matrix.tolist(), "offset": self.offset.tolist()}
 
@@ -44,3 +52,15 @@ class ColorMap:
 
         matrix, offset = validation.rows(data, "matrix", 3, 3), validation.numbers(data, "offset", 3)
         return cls(torch.tensor(matrix), torch.tensor(offset))
+
+
+def before_map(gradients: Array, matrix: Array, offset: Array) -> None:
+    """Replace dL/d(pixels after a color map) by dL/d(pixels before it), in place; clamps are not differentiated.
+
+    Args:
+        gradients: [n, 4 or more], of premultiplied rgb, alpha and what a map does not change.
+        matrix, offset: [3, 3] and [3] of the map, rgb' = A rgb + alpha b, as `gradients` on their device.
+    """
+    # dL/d(alpha) += dL/drgb' . b and dL/drgb = A^T dL/drgb'; alpha first, before rgb is overwritten.
+    gradients[:, 3] += gradients[:, :3] @ offset
+    gradients[:, :3] = gradients[:, :3] @ matrix

@@ -26,6 +26,7 @@ from stylerf.fields.marching import ScratchArena
 from stylerf.fields.palette_edits import Recoloring, recolored
 from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
+from stylerf.kernels.cpu.regions import MIN_ODDS
 from stylerf.kernels.cpu.simd_hash import ROW
 
 if TYPE_CHECKING:  # torch takes more than a second to import, and fields without a palette are rendered without it
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import, and fields withou
 
 POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
+MOST_EDITS = 100  # each is evaluated at every point
 DEGREE = 2
 VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
 MIN_WEIGHT = 0.05  # before normalization
@@ -126,6 +128,11 @@ class PaletteColor:
         expected = features.length + 3 * bases + self.head.length
         if values.shape != (expected,) or values.dtype != np.float32:
             raise InvalidValue(f"palette color: {values.shape} values where {expected} float32 ones were expected")
+        if len(edits) > MOST_EDITS:
+            raise InvalidValue(
+                f"palette color: {len(edits)} edits upon one another, and {MOST_EDITS} are the most; "
+                "make the changes of several at once, on the field before them"
+            )
         self.bases, self.values, self.edits = bases, values, tuple(edits)
         for edit in self.edits:
             edit.changes.check(bases)
@@ -141,7 +148,7 @@ class PaletteColor:
         return cls(features, len(palette), np.concatenate(parts))
 
     def edited(self, edit: Recoloring) -> "PaletteColor":
-        """Return the color with one more edit; `values` are shared."""
+        """Return the color with one more edit; `values` are shared. InvalidValue if it has MOST_EDITS already."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     @property
@@ -266,7 +273,8 @@ class PaletteColor:
             rest = torch.from_numpy(self.rest.copy()).requires_grad_()
             phi = torch.from_numpy(self.features.encode(self.table, x, index, threads)).requires_grad_()
             shown = self._shown(*self.parts(rest, phi, torch.from_numpy(basis[rays])), x[index])
-            of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(color_gradients[index]))
+            towards = color_gradients[index] * _through_region(shown.detach().numpy(), colors[index])
+            of_phi, of_rest = torch.autograd.grad(shown, (phi, rest), torch.from_numpy(towards))
             gradients[part] = of_phi.numpy()
             own += of_rest.numpy()
         return packed, gradients, own
@@ -283,6 +291,12 @@ class PaletteColor:
         edits = [Recoloring.restore(edit) for edit in validation.entry(data, "edits", list)]
         features = HashFeatures.restore(validation.entry(data, "features"))
         return cls(features, validation.integer(data, "bases", 1, MOST_BASES), values, edits)
+
+
+def _through_region(own: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Return d(shown) / d(own) [n, 3]: under a region's color sigmoid(logit(own) + f) is shown, elsewhere `own`."""
+    slope = shown * (1 - shown) / np.maximum(own * (1 - own), MIN_ODDS)
+    return np.where(shown == own, np.float32(1), slope)
 
 
 def _mixtures(parts: Parts, palette: "Tensor", x: np.ndarray) -> np.ndarray:

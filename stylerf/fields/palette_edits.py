@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # torch takes more than a second to import, and fields withou
     from torch import Tensor
 
 GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
+MOST_CENTERS = 256  # of a filter; the distance to each is computed for every point
 DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
 
 
@@ -125,10 +126,17 @@ class SpaceFilter:
         if not self.centers or not np.isfinite(self.centers).all() or not (0 < self.reach < np.inf):
             raise InvalidValue(f"an edit's filter needs places and a reach over 0, found {self.centers}, {self.reach}")
 
+        if len(self.centers) > MOST_CENTERS:
+            raise InvalidValue(
+                f"an edit is around {len(self.centers)} places, and {MOST_CENTERS} are the most; give fewer, or a "
+                "longer reach"
+            )
+
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """[n] float32 in 0..1 of cube points [n, 3]."""
-        places = self.space.unwarp(x)
-        squares = np.min([np.square(places - np.asarray(center)).sum(1) for center in self.centers], axis=0)
+        places, squares = self.space.unwarp(x), np.full(len(x), np.inf)
+        for center in self.centers:
+            np.minimum(squares, np.square(places - np.asarray(center)).sum(1), out=squares)
         return np.exp(-squares / self.reach**2).astype(np.float32)
 
     def describe(self) -> dict:

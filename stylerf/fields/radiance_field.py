@@ -6,7 +6,7 @@ import numpy as np
 
 from stylerf import validation
 from stylerf.errors import InvalidValue
-from stylerf.fields.blended_color import MOST_LAYERS, BlendedColor, Layer
+from stylerf.fields.blended_color import MOST_BLENDS, MOST_LAYERS, BlendedColor, Layer
 from stylerf.fields.color_map import ColorMap
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.hash_grid import HashColor, HashDensity
@@ -14,7 +14,7 @@ from stylerf.fields.marching import MarchInputs, ScratchArena, displacement_arra
 from stylerf.fields.occupancy_grid import MAX_CELLS, OccupancyGrid
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import ColorPart, DensityPart, RestorableColor
-from stylerf.fields.region_color import RegionColor
+from stylerf.fields.region_color import MOST_REGIONS, RegionColor
 from stylerf.fields.vm import VmColor, VmDensity
 from stylerf.fields.voxel import VoxelDensity
 from stylerf.geometry.space_warp import SpaceWarp
@@ -28,8 +28,6 @@ COLOR_KINDS: dict[str, type[RestorableColor]] = {
     "palette": PaletteColor,
 }
 MIN_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
-MOST_REGIONS = 100  # nested over one another
-MOST_BLENDS = 8  # nested in one another
 
 
 @dataclass

@@ -7,11 +7,14 @@ Here only the region's samples are evaluated, and only its own values learn.
 import numpy as np
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.blended_color import BlendedColor
 from stylerf.fields.hash_grid import HashColor
 from stylerf.fields.marching import ScratchArena
 from stylerf.fields.protocol import ColorPart
 from stylerf.kernels.cpu import regions as kernels
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
+
+MOST_REGIONS = 100  # over one another
 
 
 class RegionColor:
@@ -21,6 +24,10 @@ class RegionColor:
         base: the color part underneath; it does not learn.
         own: f, a hash grid over the bounding box of the marked cells. values: its values.
         marked: [s, s, s] bool, cells of the unit cube.
+        depth: number of region colors over one another, this one included.
+
+    Raises:
+        InvalidValue: the cells are not those of a region, the base is a blend, or there are too many regions.
     """
 
     kind = "patch"
@@ -29,6 +36,16 @@ class RegionColor:
         s = marked.shape[0]
         if marked.shape != (s, s, s) or marked.dtype != bool or not marked.any():
             raise InvalidValue(f"region color: marked cells [s, s, s] of bool were expected, not {marked.shape}")
+        if isinstance(base, BlendedColor):
+            raise InvalidValue(
+                "a region cannot have colors of its own over a blend; change the fields that it mixes, and blend those"
+            )
+        self.depth: int = 1 + (base.depth if isinstance(base, RegionColor) else 0)
+        if self.depth > MOST_REGIONS:
+            raise InvalidValue(
+                f"{self.depth} regions have colors over one another, and {MOST_REGIONS} are the most; "
+                "teach the whole field instead"
+            )
         self.base, self.own, self.marked = base, own, np.ascontiguousarray(marked)
         self._flat, self.cells = self.marked.reshape(-1), s
         self.low, self.side = box_of(self.marked)

@@ -16,6 +16,9 @@ from stylerf.errors import InvalidValue
 from stylerf.validation import LARGEST
 
 KINDS = ("box", "contraction", "frustum")
+# How far into a frustum a camera may be, in near depths, while its views start `near` from it, as in training: captures
+# show nothing nearer than 1 / FORWARD_NEAR of that depth (scene_normalization.py), and their own cameras stay behind.
+AHEAD = 0.25
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class SpaceWarp:
     Attributes:
         kind: One of KINDS.
         parameters: 7 floats, as the kernels read them.
-        near, far: Bounds of marching, scene units.
+        near, far: Bounds of marching, scene units; near counts from the camera, see view_start().
     """
 
     kind: str
@@ -140,6 +143,16 @@ class SpaceWarp:
         # The inverse of m' = 2 - 1/m, which reaches 2 at infinity.
         radius = np.where(largest > 1, 1 / np.maximum(2 - reach, 1e-9), largest)
         return np.asarray(p[:3]) + local / np.maximum(largest, 1e-12) * radius / np.asarray(p[3:6])
+
+    def view_start(self, center: np.ndarray) -> float:
+        """Return the distance, scene units, at which the rays of a rendered view start. center: of its camera, [3].
+
+        It is `near`, except in a frustum whose camera has moved towards the near plane, or past it.
+        """
+        ahead = float(center[2]) if self.kind == "frustum" else 0.0
+        if ahead <= AHEAD * self.near:
+            return self.near
+        return max(self.near - ahead, 1e-3 * self.near)  # not 0, which stands for a depth where nothing is seen
 
     @property
     def middle(self) -> float:

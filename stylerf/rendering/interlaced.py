@@ -37,7 +37,7 @@ def render_pixels(
     """
     rendered = render_rays(
         field,
-        Rays.of(*camera.rays(pixels), field.space.near),
+        Rays.of(*camera.rays(pixels), field.space.view_start(camera.center)),
         threads=threads,
         min_transmittance=min_transmittance,
         weight_threshold=field.weight_threshold,

@@ -63,7 +63,7 @@ def render_view(
         pixels = np.arange(at, min(at + rays_at_once, count))
         # Deal rows to the threads in turn: the upper half of a picture is often emptier than the lower.
         pixels = pixels[np.argsort(pixels // camera.width % threads, kind="stable")]
-        rays = Rays.of(*camera.rays(pixels), field.space.near)
+        rays = Rays.of(*camera.rays(pixels), field.space.view_start(camera.center))
         rendered = render_rays(
             field,
             rays,

@@ -66,9 +66,10 @@ class GpuRenderer:
         count = camera.width * camera.height
         pixels = np.linspace(0, count - 1, min(count, TRIED_RAYS)).astype(np.int64)
         rays = GpuRays.of(*camera.rays(pixels), self.device)
+        near = self.field.space.view_start(camera.center)
         exact, rounded = (
-            self._fields[half].render_rays(rays, weight_threshold=self._fields[half].weight_threshold).out[:, :4]
-            for half in (False, True)
+            field.render_rays(rays, weight_threshold=field.weight_threshold, near=near).out[:, :4]
+            for field in (self._fields[half] for half in (False, True))
         )
         self.half = bool((exact - rounded).abs().max() <= TOLERANCE)
         del self._fields[not self.half]  # frees the other copy's memory
@@ -88,11 +89,15 @@ class GpuRenderer:
         """
         self.choose(camera)
         marked = regions or {}
+        near = self.field.space.view_start(camera.center)
 
         def part(begin: int, end: int) -> list[Tensor]:
             rays = rays_of(camera, torch.arange(begin, end, device=self.device))
             rendered = self.field.render_rays(
-                rays, min_transmittance=min_transmittance, weight_threshold=self.field.weight_threshold
+                rays,
+                min_transmittance=min_transmittance,
+                weight_threshold=self.field.weight_threshold,
+                near=near,
             )
             found = [rendered.with_surface_distance(), *(alpha_inside(cells, rendered) for cells in marked.values())]
             on_rays(end)

@@ -16,6 +16,9 @@ RAYS = rays_into(SPACES["box"], 60, 1)
 # Many pixels of it are clamped, at both ends.
 STRONG = ColorMap(torch.tensor([[1.6, 0.2, -0.1], [-0.3, 1.8, 0.1], [0.0, 0.3, 1.5]]), torch.tensor([0.1, -0.3, 0.2]))
 
+# It mixes the channels, and no color of 0..1 leaves 0..1.
+MILD = ColorMap(torch.tensor([[0.1, 0.6, 0.1], [0.5, 0.1, 0.1], [0.1, 0.1, 0.6]]), torch.tensor([0.1, 0.05, 0.15]))
+
 
 def fields(space: str = "box") -> dict[str, RadianceField]:
     """A source and three stylizations of it; the last bends it."""

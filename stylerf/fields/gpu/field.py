@@ -82,16 +82,27 @@ class GpuField:
             self.color_map = matrix.to(self.device, torch.float32), offset.to(self.device, torch.float32)
         self._space = torch.from_numpy(field.space.packed()).to(self.device)
 
-    def march_inputs(self, samples_per_ray: int, min_transmittance: float) -> GpuMarchInputs:
-        """Return what a march through the field reads beside rays and density."""
+    def march_inputs(self, samples_per_ray: int, min_transmittance: float, near: float | None = None) -> GpuMarchInputs:
+        """Return what a march through the field reads beside rays and density; near: as render_rays() takes it."""
         return GpuMarchInputs(
-            self.space.code, self._space, self.space.near, self.space.far, self.step, self.distances, self.cells,
-            self.opaque_background, self.displacement, self.vertices, samples_per_ray, min_transmittance,
+            self.space.code, self._space, self.space.near if near is None else near, self.space.far, self.step,
+            self.distances, self.cells, self.opaque_background, self.displacement, self.vertices, samples_per_ray,
+            min_transmittance,
         )  # fmt: skip
 
-    def march(self, rays: GpuRays, samples_per_ray: int, min_transmittance: float, capacity: int | None) -> GpuSamples:
-        """March rays to samples with density and weights; capacity: most samples; None: all (waits)."""
-        inputs = self.march_inputs(samples_per_ray, min_transmittance)
+    def march(
+        self,
+        rays: GpuRays,
+        samples_per_ray: int,
+        min_transmittance: float,
+        capacity: int | None,
+        near: float | None = None,
+    ) -> GpuSamples:
+        """March rays to samples with density and weights; capacity: most samples; None: all (waits).
+
+        near: as render_rays() takes it.
+        """
+        inputs = self.march_inputs(samples_per_ray, min_transmittance, near)
         return launch.march_density(inputs, self.density, rays, capacity)
 
     def render_rays(
@@ -102,22 +113,22 @@ class GpuField:
         min_transmittance: float = 1e-3,
         weight_threshold: float = 2e-2,
         samples_per_ray: int = SAMPLES_PER_RAY,
+        near: float | None = None,
     ) -> GpuRendered:
-        """Render rays as render_rays() in rendering/rays.py does; capacity: as march() takes it."""
-        samples = self.march(rays, samples_per_ray, min_transmittance, capacity)
+        """Render rays as render_rays() in rendering/rays.py does.
+
+        Args:
+            capacity: as march() takes it.
+            near: distance where marching starts, scene units; None: that of the space.
+        """
+        samples = self.march(rays, samples_per_ray, min_transmittance, capacity, near)
         if self.blend is None:
             colors = self.color.visible_colors(samples, rays.directions, weight_threshold)
             unmapped = launch.composite(samples, colors)
         else:
             colors = torch.empty((0, 3), device=self.device)  # each layer has its own
             unmapped = self.blend.composited(samples, rays.directions)
-        out = unmapped
-        if self.color_map is not None:
-            matrix, offset = self.color_map
-            # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
-            rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
-            out = torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
-        return GpuRendered(out, unmapped, rays, samples, colors)
+        return GpuRendered(mapped(unmapped, self.color_map), unmapped, rays, samples, colors)
 
     def backward(
         self, rendered: GpuRendered, gradients: Tensor, density_to: Tensor | None, color_to: Tensor | None,
@@ -153,6 +164,16 @@ class GpuField:
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()
         field.occupancy.set_occupied(self.distances.cpu().numpy() == 0)
+
+
+def mapped(out: Tensor, color_map: tuple[Tensor, Tensor] | None) -> Tensor:
+    """Return composited rays [rays, 5], their colors mapped by (matrix, offset); see mapped() in rendering/rays.py."""
+    if color_map is None:
+        return out
+    matrix, offset = color_map
+    # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
+    rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
+    return torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
 
 
 # -- occupancy ---------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ OPTICAL_SCALE = np.float32(100.0)
 # Of raw density: exp(12) is opaque within any step, exp(-15) transparent across the cube, and float32 holds both.
 EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
 # Beyond so many times its width and height, and in front of half its near depth, a frustum is nothing but its outermost
-# cells, drawn out: rays end there.
+# cells, drawn out: rays begin and end there.
 FRUSTUM_MARGIN = np.float32(2.0)
 _ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
 TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
@@ -95,8 +95,8 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
 
 @inline
 def ray_span(space, ox, oy, oz, dx, dy, dz, near):
-    """Distances between which a ray is marched: the box's entry and exit, or near and far, for a ray that leaves the
-    frustum its exit. Empty: first >= second."""
+    """Distances between which a ray is marched: those of entry and exit in a box or a frustum, within near and far.
+    Empty: first >= second."""
     t0, t1, numbers = near, space.far, space.numbers
     if space.kind == BOX:
         for a in range(3):
@@ -134,6 +134,8 @@ def ray_span(space, ox, oy, oz, dx, dy, dz, near):
                     return _ONE, _ZERO
                 if v < -TINY:
                     t1 = min(t1, -p / v)
+            elif p < _ZERO:
+                t0 = max(t0, -p / v)
     return t0, t1
 
 
@@ -153,10 +155,11 @@ def _exit_time(x, speed, distance, cells, shortest):
 def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
     """Count the steps of dt to skip from q, whose nearest occupied cell is `distance` cells away.
 
-    In a box the warp is affine: the ray skips to the first step behind all cells known to be empty. In a frustum rays
-    only slow down, so that today's speed is a safe bound. In a contraction they speed up towards the middle, up to
-    sixteenfold from m = 4: there the skip is halved until it moves within reach. The image of a straight line strays
-    from the segment between its ends by a few hundredths of their distance at most, hence the margin of 0.95.
+    In a box the warp is affine: the ray skips to the first step behind all cells known to be empty. In a frustum, rays
+    that look forward only slow down, so that the present speed is a safe bound. Rays that look back speed up with
+    1/z^2, and in a contraction rays speed up towards the middle, up to sixteenfold from m = 4: there the skip is halved
+    until it moves within reach. In a contraction, the image of a straight line strays from the segment between its ends
+    by a few hundredths of their distance at most, hence the margin of 0.95; in a frustum it is that segment.
     """
     numbers = space.numbers
     if space.kind == BOX:
@@ -171,7 +174,7 @@ def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, 
     # Wherever in its cell q lies, distance - 1 whole cells separate it from the nearest occupied one.
     reach = (np.float32(distance) - _ONE) / np.float32(cells)
     steps = max(np.int64(1), np.int64(reach / step))
-    if space.kind == CONTRACTION:
+    if space.kind == CONTRACTION or dz < _ZERO:
         reach *= np.float32(0.95)
         while steps > 1:
             s = t + dt * np.float32(steps)

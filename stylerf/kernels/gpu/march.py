@@ -75,11 +75,14 @@ def _clip_axis(o, d, low, scale, t0, t1):
 
 
 @triton.jit
-def _clip_side(p, v, t1):
-    """End a ray at a plane. p: height of its origin above the plane; v: change of that height along the ray."""
-    nearing = v < -SMALLEST
-    end = tl.where(nearing, tl.minimum(t1, -p / tl.where(nearing, v, 1.0)), t1)
-    return tl.where((v < SMALLEST) & (p < 0.0), -1.0, end)
+def _clip_side(p, v, t0, t1):
+    """Keep a ray above a plane. p: height of its origin above the plane; v: change of that height along the ray."""
+    falling, rising = v < -SMALLEST, v >= SMALLEST
+    # Lanes cannot branch: the others divide by 1, and the results are not used.
+    crossing = -p / tl.where(falling | rising, v, 1.0)
+    begin = tl.where(rising & (p < 0.0), tl.maximum(t0, crossing), t0)
+    end = tl.where(falling, tl.minimum(t1, crossing), t1)
+    return begin, tl.where((v < SMALLEST) & (p < 0.0), -1.0, end)
 
 
 @triton.jit
@@ -92,11 +95,11 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
         t0, t1 = _clip_axis(oz, dz, tl.load(space + 2), tl.load(space + 5), t0, t1)
     elif KIND == 2:
         wide, high = tl.load(space) * FRUSTUM_MARGIN, tl.load(space + 1) * FRUSTUM_MARGIN
-        t1 = _clip_side(oz - tl.load(space + 2) * 0.5, dz, t1)
-        t1 = _clip_side(wide * oz - ox, wide * dz - dx, t1)
-        t1 = _clip_side(wide * oz + ox, wide * dz + dx, t1)
-        t1 = _clip_side(high * oz - oy, high * dz - dy, t1)
-        t1 = _clip_side(high * oz + oy, high * dz + dy, t1)
+        t0, t1 = _clip_side(oz - tl.load(space + 2) * 0.5, dz, t0, t1)
+        t0, t1 = _clip_side(wide * oz - ox, wide * dz - dx, t0, t1)
+        t0, t1 = _clip_side(wide * oz + ox, wide * dz + dx, t0, t1)
+        t0, t1 = _clip_side(high * oz - oy, high * dz - dy, t0, t1)
+        t0, t1 = _clip_side(high * oz + oy, high * dz + dy, t0, t1)
     return t0, t1
 
 
@@ -110,10 +113,12 @@ def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distan
     # In a box the CPU leaves the empty cells exactly; here that takes several skips.
     reach = (distance.to(tl.float32) - 1.0) / cells
     steps = tl.where(far, tl.maximum((reach / step).to(tl.int32), 1), 1)
-    if KIND == 1:
+    if KIND != 0:
         reach = reach * 0.95
         # Halved until what is moved in the cube is within reach; thirty-one halvings bring every int32 to one.
         pending = (steps > 1).to(tl.int32)
+        if KIND == 2:  # rays that look forward only slow down
+            pending = ((steps > 1) & (dz < 0.0)).to(tl.int32)
         while tl.max(pending, axis=0) > 0:
             s = t + dt * steps.to(tl.float32)
             ax, ay, az, _speed, _jacobian = warp_at(KIND, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz)

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
+from stylerf.fields.color_map import before_map
 from stylerf.fields.deformation import (
     Deformation,
     at_rest,
@@ -312,5 +313,8 @@ class PhotoError:
         gradients[:, :3] = difference * np.float32(2 / difference.size)
         # C = rgb + (1 - alpha) background, the same gray in every channel.
         gradients[:, 3] = -gradients[:, :3].sum(1) * self.background
-        backward(self.deformer.field, rendered, gradients, None, None, self.deformer.gradients)
+        field = self.deformer.field
+        if field.color_map is not None:
+            before_map(gradients, *field.color_map.arrays())
+        backward(field, rendered, gradients, None, None, self.deformer.gradients)
         return float(np.square(difference).mean())

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from stylerf.fields.color_map import before_map
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.gpu.field import FARTHEST as FARTHEST_CELL
 from stylerf.fields.gpu.field import GpuField, distances_to
@@ -125,6 +126,8 @@ class GpuPhotoError:
         if field.opaque_background:
             wanted = unhidden(wanted, rendered.out, background)
         gradients = launch.photometric_loss(rendered.out, wanted, background, rendered.samples, 2 / (3 * n), sums)
+        if field.color_map is not None:
+            before_map(gradients, *field.color_map)
         field.backward(rendered, gradients, None, None, self.deformer.gradients)
         return self._reports.send(n)
 

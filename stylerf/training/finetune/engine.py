@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stylerf.fields.color_map import before_map
 from stylerf.fields.marching import ScratchArena
 from stylerf.fields.protocol import Part
 from stylerf.fields.radiance_field import RadianceField
@@ -109,11 +110,7 @@ class CpuFineTuneEngine:
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)
         if field.color_map is not None:
-            # The map comes after compositing: rgb' = A rgb + alpha b.
-            matrix, offset = field.color_map.matrix.numpy(), field.color_map.offset.numpy()
-            # Hence dL/d(alpha) += dL/drgb' . b and dL/drgb = A^T dL/drgb'; alpha first, before rgb is overwritten.
-            gradients[:, 3] += gradients[:, :3] @ offset.astype(np.float32)
-            gradients[:, :3] = gradients[:, :3] @ matrix.astype(np.float32)
+            before_map(gradients, *field.color_map.arrays())
         depth_error = 0.0
         if edited and moving and s.depth_weight > 0:
             known = np.maximum(batch.depth, np.float32(1e-6))

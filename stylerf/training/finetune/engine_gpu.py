@@ -6,6 +6,7 @@ A step sends a number and a jitter for each ray, about seventy kilobytes, and wa
 import numpy as np
 import torch
 
+from stylerf.fields.color_map import before_map
 from stylerf.fields.gpu.field import GpuField
 from stylerf.fields.gpu.parts import GpuPart, marked_cells
 from stylerf.fields.marching import SAMPLES_PER_RAY
@@ -82,11 +83,7 @@ class GpuFineTuneEngine:
             rendered.out, wanted, depth, rendered.samples, s.background, scale, pulling, sums
         )
         if field.color_map is not None:
-            # The map comes after compositing: rgb' = A rgb + alpha b.
-            matrix, offset = field.color_map
-            # As in engine.py: alpha first, before rgb is overwritten.
-            gradients[:, 3] += gradients[:, :3] @ offset
-            gradients[:, :3] = gradients[:, :3] @ matrix
+            before_map(gradients, *field.color_map)
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients
         distance = s.near_scaling_distance
         field.backward(rendered, gradients, *to, near_scaling_distance=distance, density_within=self._within)

@@ -13,7 +13,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.compositing import shade, shade_backward
 from stylerf.kernels.cpu.ray_samples import Rays, ShadingPoints
-from stylerf.rendering.rays import Rendered, backward, render_rays
+from stylerf.rendering.rays import Rendered, backward, mapped, render_rays
 from stylerf.training.common.adam import Adam, Optimizer
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Buffer, GridDeformer
@@ -101,11 +101,16 @@ class FixedGeometry:
             colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
         shade(points, colors, out)
+        if self.field.color_map is not None:
+            with_alpha = np.concatenate([out, self.alpha(view).reshape(-1, 1)[pixels]], 1)
+            out = mapped(with_alpha, self.field.color_map)[:, :3]
         return out, (points, colors)
 
     def learn(self, record: tuple[ShadingPoints, np.ndarray], gradients: np.ndarray, color_to: np.ndarray) -> None:
         points, colors = record
         color_gradients = np.empty_like(points.x)
+        if self.field.color_map is not None:
+            gradients = gradients @ self.field.color_map.arrays()[0]
         # Weights are fixed, so alpha has no gradient: a sample's color gets its weight times its ray's gradient.
         shade_backward(points, gradients, color_gradients)
         self.field.color.backward(points, None, colors, color_gradients, color_to)

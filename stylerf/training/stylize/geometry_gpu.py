@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stylerf.fields.gpu.field import GpuField, GpuRendered
+from stylerf.fields.gpu.field import GpuField, GpuRendered, mapped
 from stylerf.fields.gpu.memory import free_on, in_parts
 from stylerf.fields.gpu.parts import COLOR_KINDS, GpuColor
 from stylerf.fields.hash_grid import HashColor
@@ -130,11 +130,14 @@ class GpuFixedGeometry:
         plain = isinstance(self.field.color, HashColor)
         directions = None if plain else rays_of(self.cameras[view], chosen).directions
         colors = self.color.visible_colors(samples, directions, 0.0)
-        return launch.composite(samples, colors)[:, :3].cpu().numpy(), (samples, colors)
+        out = mapped(launch.composite(samples, colors), self._marched.color_map)
+        return out[:, :3].cpu().numpy(), (samples, colors)
 
     def learn(self, record: tuple[GpuSamples, Tensor], gradients: np.ndarray, color_to: Tensor) -> None:
         samples, colors = record
         towards = torch.from_numpy(np.ascontiguousarray(gradients, np.float32)).to(self.device)
+        if self._marched.color_map is not None:
+            towards = (towards @ self._marched.color_map[0]).contiguous()
         to_colors = launch.shade_backward(samples, towards)
         self.color.backward(samples, None, colors, to_colors, color_to)
 

@@ -226,7 +226,9 @@ class StyledScene(Generic[Settings_co]):
             self.settings = self.settings.for_style(strokes_in(self.style_colors, min_spread))
             self.style_colors = spread_at_least(self.style_colors, min_spread)
         threshold = problem.field.weight_threshold if self.of_region else self.settings.weight_threshold
-        self.field = replace(problem.field, color_map=None, weight_threshold=threshold)
+        # A region's colors lie over the field's own, which keep the map that they are shown through.
+        color_map = problem.field.color_map if self.of_region else None
+        self.field = replace(problem.field, color_map=color_map, weight_threshold=threshold)
         self.deformer = self._new_deformer()
         self.fixed = self._fixed_geometry()
         self.geometry: Geometry = self.fixed

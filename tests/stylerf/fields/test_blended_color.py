@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.blended_color import MOST_LAYERS, BlendedColor
+from stylerf.fields.blended_color import MOST_BLENDS, MOST_LAYERS, BlendedColor
 from stylerf.fields.radiance_field import RadianceField, layers_of
 from stylerf.fields.region_color import RegionColor
 from tests.stylerf.blends import CELLS, RAYS, corner, fields, layer, over, picture
@@ -85,11 +85,16 @@ def test_a_region_under_the_whole_scene_is_refused():
 
 def test_blends_nested_too_deeply_are_refused():
     made = fields()
-    field = over(made["source"], layer(made["source"], 1.0))
-    for _ in range(10):
+    field = made["source"]
+    for _ in range(MOST_BLENDS):
         field = over(made["source"], layer(field, 1.0))
+    np.testing.assert_array_equal(picture(stored(field)), picture(field))
+    with pytest.raises(InvalidValue, match="9 blends within one another, and 8 are the most"):
+        over(made["source"], layer(field, 1.0))
+    data = field.describe()
+    data["color"] = {"kind": "blend", "layers": [data["color"]["layers"][0] | {"color": data["color"]}]}
     with pytest.raises(InvalidValue, match="kind"):
-        stored(field)
+        RadianceField.restore(data, field.arrays())
 
 
 def test_a_blend_refuses_to_learn():

@@ -9,6 +9,7 @@ from stylerf.errors import InvalidValue
 from stylerf.fields.blended_color import MOST_LAYERS
 from stylerf.fields.blending import Style, at_strength, blended
 from stylerf.fields.deformation import displaced_occupancy
+from stylerf.fields.occupancy_grid import OccupancyGrid
 from tests.stylerf.blends import corner, fields, picture
 from tests.stylerf.small import SPACES, density, field_of
 
@@ -37,6 +38,29 @@ def test_strength_scales_the_displacement_of_a_bent_field():
     np.testing.assert_allclose(picture(found), expected, atol=ROUNDING)
     marked = displaced_occupancy(made["source"].occupancy, half["displacement"])
     np.testing.assert_array_equal(found.occupancy.distances, marked.distances)
+
+
+def test_a_field_of_a_longer_step_than_its_source_has_every_strength():
+    """DeSRF's steps are longer than those of a fit that has grown."""
+    made = fields()
+    source, bent = replace(made["source"], step=made["source"].step / 2), made["bent"]
+    assert at_strength(source, bent, 0) is source
+    assert at_strength(source, bent, 1) is bent
+    found, expected = (at_strength(one, bent, 0.5) for one in (source, made["source"]))
+    assert found.step == bent.step
+    np.testing.assert_allclose(picture(found), picture(expected), atol=ROUNDING)
+
+
+def test_a_longer_step_has_cells_that_are_occupied_at_it():
+    """Half of these densities matter to a step of 1/50 and not to one of 1/100."""
+    made = fields()
+    short, long = (OccupancyGrid(8, np.tile(np.float32([0.0075, 1]), 256)) for _ in range(2))
+    short.decide(1 / 100)
+    long.decide(1 / 50)
+    assert (short.share, long.share) == (0.5, 1.0)
+    source = replace(made["source"], step=1 / 100, occupancy=short)
+    found = blended(source, [Style("a", replace(made["plain"], step=1 / 50), 0.5)])
+    np.testing.assert_array_equal(found.occupancy.distances, long.distances)
 
 
 def test_what_both_are_bent_by_stays_to_the_bit():
@@ -79,7 +103,6 @@ def test_fields_that_hold_other_things_are_refused():
     others = {
         "trained further": replace(made["plain"], density=density(9)),
         "another kind or size": replace(made["plain"], density=density(3, size=(8, 8, 8))),
-        "step": replace(made["plain"], step=1 / 30),
         "kind or size": replace(made["plain"], space=field_of(SPACES["frustum"], 3).space),
     }
     for why, field in others.items():

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from stylerf.errors import InvalidValue
-from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.palette_color import MOST_EDITS, PaletteColor
 from stylerf.fields.palette_edits import PaletteEdits, Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import RadianceField
+from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
@@ -92,6 +93,26 @@ def test_position_gradient_equals_the_formula():
     assert (np.delete(out, at, 0) == 0.25).all()
 
 
+def test_position_gradient_passes_through_a_regions_colors_above():
+    """The region shifts all logits alike: what slopes is the palette below alone."""
+    below, shift, s = made(), 1.5, samples(5)
+    color = RegionColor.create(below, np.ones((2, 2, 2), bool), 16.0, table=64)
+    color.own.values[: color.own.grid.firsts[1]].reshape(-1, 4)[:, 3] = shift
+    basis = basis_of(s, 2)
+    s.x[:] = np.random.default_rng(4).uniform(0.01, 0.99, s.x.shape)
+    at, rays = owned(s), np.repeat(np.arange(RAYS), s.ends - s.starts)
+    x = float64(s.x[at]).requires_grad_()
+    base = written_out(below, float64(below.values), float64(basis[rays]), x).clamp(1e-4, 1 - 1e-4)
+    expected = torch.sigmoid(torch.logit(base) + shift)
+    colors = color.colors(s.shading_points(), basis, 1)
+    close(colors[at], expected, 1e-4)
+    gradients = np.random.default_rng(6).normal(size=(len(s.x), 3)).astype(np.float32)
+    (expected * float64(gradients[at])).sum().backward()
+    out = np.zeros(s.x.shape, np.float32)
+    color.add_position_gradients(s.shading_points(), basis, colors, gradients, out, 1)
+    close(out[at], x.grad, 1e-3)
+
+
 def test_points_without_weight_get_no_color():
     color, s = made(), samples()
     s.weights[:21] = 0
@@ -165,6 +186,19 @@ def test_gradients_of_an_edited_color_pass_through_the_edit():
         )
         expected = float(((above - below) * float64(gradients[at])).sum()) / 2e-7
         assert float(to[0, color.features.length :] @ way.numpy()) == pytest.approx(expected, rel=1e-4, abs=1e-4)
+
+
+def test_more_edits_than_can_be_read_back_are_not_made():
+    color = made()
+    for _ in range(MOST_EDITS):
+        color = color.edited(Recoloring(view_scale=0.5))
+    assert len(PaletteColor.restore(color.describe(), color.values).edits) == MOST_EDITS
+    with pytest.raises(InvalidValue, match="101 edits upon one another, and 100 are the most"):
+        color.edited(Recoloring())
+    data = color.describe()
+    data["edits"] *= 2
+    with pytest.raises(InvalidValue, match="200 edits"):
+        PaletteColor.restore(data, color.values)
 
 
 def test_values_and_edits_that_do_not_fit_are_refused():

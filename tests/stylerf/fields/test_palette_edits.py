@@ -9,6 +9,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.palette_edits import (
+    MOST_CENTERS,
     PaletteEdits,
     Recoloring,
     SpaceFilter,
@@ -177,6 +178,18 @@ def test_an_edit_survives_its_writing():
     )
     assert Recoloring.restore(json.loads(json.dumps(edit.describe()))) == edit
     assert Recoloring.restore(Recoloring().describe()) == Recoloring()
+
+
+def test_a_filter_of_several_places_counts_the_nearest_and_has_a_bounded_number_of_them():
+    x = np.random.default_rng(0).random((50, 3), dtype=np.float32)
+    centers = tuple(map(tuple, np.random.default_rng(1).uniform(-2, 2, (MOST_CENTERS, 3)).tolist()))
+    every = [SpaceFilter(SPACE, (center,), 0.5)(x) for center in centers]
+    found = SpaceFilter(SPACE, centers, 0.5)
+    np.testing.assert_array_equal(found(x), np.max(every, axis=0))
+    data = found.describe()
+    data["centers"] *= 2
+    with pytest.raises(InvalidValue, match="around 512 places, and 256 are the most"):
+        SpaceFilter.restore(data)
 
 
 @pytest.mark.parametrize(("centers", "reach"), [((), 1.0), (((0, 0, 0),), 0.0), (((0, np.nan, 0),), 1.0)])

@@ -6,7 +6,8 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.fields.radiance_field import RadianceField
-from stylerf.fields.region_color import RegionColor, box_of
+from stylerf.fields.region_color import MOST_REGIONS, RegionColor, box_of
+from tests.stylerf.blends import layer, over
 from tests.stylerf.kernels.cpu.test_vm import added, basis_of, buffers, owned, samples
 from tests.stylerf.small import SPACES, close, field_of, float64, hash_color, oracle_color, vm_color
 
@@ -106,6 +107,20 @@ def test_the_box_holds_the_cells_and_no_more():
     low, side = box_of(marked_cells())
     np.testing.assert_allclose(low, [2 / CELLS, 1 / CELLS, 3 / CELLS])
     assert side == pytest.approx(3 / CELLS)
+
+
+def test_what_could_not_be_read_back_is_not_put_together():
+    """A region over a blend, and more regions over one another than are restored."""
+    source = field_of(SPACES["box"], 3)
+    with pytest.raises(InvalidValue, match="over a blend"):
+        RegionColor(over(source, layer(source, 1.0)).color, hash_color(1), marked_cells())
+    own, made = hash_color(1), vm_color(4)
+    for _ in range(MOST_REGIONS):
+        made = RegionColor(made, own, marked_cells())
+    field = field_of(SPACES["box"], 3, color=made)
+    assert RadianceField.restore(field.describe(), field.arrays()).color.depth == MOST_REGIONS
+    with pytest.raises(InvalidValue, match="101 regions have colors over one another"):
+        RegionColor(made, own, marked_cells())
 
 
 def test_an_empty_patch_and_one_of_another_shape_are_refused():

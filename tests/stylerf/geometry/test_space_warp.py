@@ -6,6 +6,14 @@ import pytest
 from stylerf.geometry.space_warp import SpaceWarp
 
 
+def test_views_of_a_captures_own_cameras_start_at_near_and_others_at_the_near_plane():
+    space = SpaceWarp.frustum(1.0, 1.0, 2.0, 1e3)
+    assert [space.view_start(np.array([5.0, 5.0, z])) for z in (-3.0, 0.1, 0.5)] == [2, 2, 2]
+    assert [space.view_start(np.array([5.0, 5.0, z])) for z in (0.6, 1.5, 4.0)] == pytest.approx([1.4, 0.5, 0.002])
+    box = SpaceWarp.box((0, 0, 0), (4, 1, 2), near=0.5, kind="contraction")
+    assert box.view_start(np.array([0.0, 0.0, 9.0])) == 0.5
+
+
 def test_a_long_box_has_most_of_its_vertices_along_its_length():
     np.testing.assert_array_equal(SpaceWarp.box((0, 0, 0), (4, 1, 2)).cells_per_axis(64), [128, 32, 64])
 

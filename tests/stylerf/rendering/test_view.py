@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from stylerf.editing.selection import ends_of_rays
 from stylerf.geometry.camera_paths import look_at
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
+from stylerf.rendering.interlaced import render_pixels
 from stylerf.rendering.view import render_view
 from tests.stylerf.small import density, field_of, hash_color, vm_color, wall_in_front
 
@@ -56,8 +58,10 @@ def test_depth_in_fog_is_where_half_of_what_is_seen_lies():
     assert seen.z[0, 0] == pytest.approx(3 - 2 / 3 * np.log((1 + np.exp(-3)) / 2), abs=0.02)
 
 
-def along_the_axis(width=5, height=5) -> Camera:
-    return Camera("view", width, height, 40.0, 40.0, width / 2, height / 2, np.eye(4))
+def along_the_axis(width=5, height=5, ahead: float = 0.0) -> Camera:
+    pose = np.eye(4)
+    pose[2, 3] = ahead
+    return Camera("view", width, height, 40.0, 40.0, width / 2, height / 2, pose)
 
 
 @pytest.mark.parametrize(("through", "backs", "z"), [(0.02, False, 3), (0.3, False, 3), (0.4, True, 3), (0.6, True, 6)])
@@ -65,6 +69,18 @@ def test_depth_is_that_of_a_surface_whatever_light_passes_it(through, backs, z):
     seen = render_view(wall_in_front(through, backs), along_the_axis(), threads=1)
     np.testing.assert_allclose(seen.alpha, 1, atol=1e-5)
     np.testing.assert_allclose(seen.z, z, rtol=0.05)
+
+
+@pytest.mark.parametrize("ahead", [0.2, 0.7, 2.3, 2.8])
+def test_a_camera_that_moves_into_a_frustum_still_sees_what_is_near(ahead):
+    """The wall is at z = 3; `near`, where rays of the capture's own cameras start, is 1."""
+    field, camera = wall_in_front(0.02), along_the_axis(ahead=ahead)
+    seen = render_view(field, camera, threads=1)
+    np.testing.assert_allclose(seen.z, 3 - ahead, atol=0.1)
+    pixels = render_pixels(field, camera, np.arange(25), threads=1)
+    np.testing.assert_array_equal(pixels[:, 4].reshape(5, 5), seen.ray_distance)
+    ends, _ = ends_of_rays(field, camera, np.arange(25), 1)
+    np.testing.assert_allclose(ends[:, 2], 2 / 3, atol=0.02)
 
 
 def test_depth_of_what_nothing_stops_is_that_of_the_backdrop():

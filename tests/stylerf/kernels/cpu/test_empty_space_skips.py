@@ -95,6 +95,26 @@ def test_no_skip_passes_into_an_occupied_cell(kind, cells):
     assert checked > 60
 
 
+@pytest.mark.parametrize("forward", [-1.0, -0.3])
+def test_rays_that_look_back_in_a_frustum_do_not_skip_its_surfaces(forward):
+    """Towards the near plane the cube goes by with 1/z^2: a skip at the speed of its first step would pass a wall."""
+    space, cells, generator = SPACES["frustum"], 64, np.random.default_rng(3)
+    wall = np.zeros((cells,) * 3, bool)
+    wall[..., 8:10] = True
+    skipping, walking = OccupancyGrid(cells), OccupancyGrid(cells)
+    for occupancy in (skipping, walking):
+        occupancy.set_occupied(wall.ravel())
+    walking.distances = np.minimum(walking.distances, 1)
+    ways = np.stack([*generator.uniform(-0.3, 0.3, (2, 200)), np.full(200, forward)], 1)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    places = np.tile(np.float32([0.1, -0.2, 4]), (200, 1))
+    rays = Rays.of(places, ways.astype(np.float32), 0.0)
+    found, wanted = (march(even_fog(10.0), space, rays, step=1 / 128, occupancy=one) for one in (skipping, walking))
+    found, wanted = (sums(one, np.ones_like(one.t)) for one in (found, wanted))
+    assert (wanted > 0.5).sum() > 50
+    assert (np.abs(found - wanted) < 0.1).mean() > 0.98  # the others graze the wall where they leave the frustum
+
+
 @pytest.mark.parametrize("zero", [0.0, -0.0])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_rays_along_a_side_of_a_box_skip_as_their_neighbors_do(axis, zero):

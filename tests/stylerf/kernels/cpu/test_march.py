@@ -230,6 +230,17 @@ def test_rays_that_leave_a_frustum_end_where_they_leave_it():
     assert (last < leaves).all() and (last > 0.8 * leaves).all()
 
 
+def test_rays_that_enter_a_frustum_begin_where_they_enter_it():
+    space = SPACES["frustum"]
+    bx, by, near = space.parameters[:3]
+    origins = np.float32([[5, 0, 2], [0, -6, 2], [0, 0, -3]]) * near
+    ways = np.float32([[-1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    enters = np.array([5 - 2 * bx * 2, 6 - 2 * by * 2, 3.5]) * near
+    samples = march(even_fog(1e-5), space, Rays.of(origins, ways, 0.0, np.zeros(3, np.float32)), samples_per_ray=512)
+    assert (samples.ends - samples.starts).min() > 5
+    np.testing.assert_allclose(samples.t[samples.starts], enters, rtol=1e-5)
+
+
 def test_an_empty_grid_gives_no_sample_in_an_open_box():
     empty = OccupancyGrid(8)
     empty.set_occupied(np.zeros(8**3, bool))

@@ -11,7 +11,7 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from tests.stylerf.kernels import torch_reference
 from tests.stylerf.kernels.gpu.on_gpu import device_rays, on_host
-from tests.stylerf.small import SPACES, close, density, float64, hash_color, occupied, rays_into
+from tests.stylerf.small import SPACES, Packed, close, density, float64, hash_color, occupied, rays_into
 
 UNIT_BOX = SpaceWarp.box([0, 0, 0], [1, 1, 1])
 
@@ -100,15 +100,31 @@ def test_closed_spaces_end_in_a_backdrop_that_takes_the_rest(kind, device):
     assert (s.t == np.float32(SPACES[kind].far)).all()
 
 
-def test_rays_that_leave_a_frustum_have_the_samples_of_the_cpu(device):
+def test_rays_that_enter_or_leave_a_frustum_have_the_samples_of_the_cpu(device):
     space = SPACES["frustum"]
-    origins = np.float32([[0.2, 0, 5], [0.2, 0, 5], [0, 0.3, 5], [0, 0, 0.4], [0.5, 0, -3]]) * np.float32(space.near)
-    ways = np.float32([[0, 0, -1], [1, 0, 0], [0, -1, 0], [0, 0, -1], [0, 0.1, -1]])
-    rays, fog = Rays.of(origins, ways, space.near, np.full(5, 0.5, np.float32)), even_fog(1e-5)
+    origins = [[0.2, 0, 5], [0.2, 0, 5], [0, 0.3, 5], [5, 0, 2], [0, -6, 2], [0, 0, -3], [0, 0, 0.4], [0.5, 0, -3]]
+    ways = [[0, 0, -1], [1, 0, 0], [0, -1, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [0, 0.1, -1]]
+    starts, middle = np.float32(origins) * np.float32(space.near), np.full(8, 0.5, np.float32)
+    rays, fog = Rays.of(starts, np.float32(ways), space.near, middle), even_fog(1e-5)
     host = RadianceField(space, fog, hash_color(1), occupied(), 1 / 8).march(rays, 512, 1e-3, 1)
     found = device_field(fog, device, space).march(device_rays(rays, device), 512, 1e-3, None)
     counts = (found.ends - found.starts).tolist()
-    assert counts == (host.ends - host.starts).tolist() and counts[3:] == [1, 1] and min(counts[:3]) > 5
+    assert counts == (host.ends - host.starts).tolist() and counts[6:] == [1, 1] and min(counts[:6]) > 5
+    np.testing.assert_allclose(found.t[: sum(counts[:6])].cpu(), Packed.of(host).t[: sum(counts[:6])], rtol=1e-5)
+
+
+def test_rays_that_look_back_in_a_frustum_skip_as_on_the_cpu(device):
+    space, occupancy, generator = SPACES["frustum"], OccupancyGrid(32), np.random.default_rng(3)
+    wall = np.zeros((32,) * 3, bool)
+    wall[..., 4] = True
+    occupancy.set_occupied(wall.ravel())
+    ways = np.stack([*generator.uniform(-0.1, 0.1, (2, 12)), np.full(12, -1.0)], 1)
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    rays, fog = Rays.of(np.tile(np.float32([0, 0, 4]), (12, 1)), ways.astype(np.float32), space.near), even_fog(1e-5)
+    host = RadianceField(space, fog, hash_color(1), occupancy, 1 / 64).march(rays, 512, 1e-3, 1)
+    found = device_field(fog, device, space, 1 / 64, occupancy).march(device_rays(rays, device), 512, 1e-3, None)
+    counts = host.ends - host.starts, on_host(found).ends - on_host(found).starts
+    assert counts[0].min() > 1 and (np.abs(counts[0] - counts[1]) <= 1).all()
 
 
 @pytest.mark.parametrize("kind", ["contraction", "frustum"])

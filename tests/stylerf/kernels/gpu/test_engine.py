@@ -19,6 +19,7 @@ from stylerf.training.common.async_readback import BEHIND
 from stylerf.training.common.process_group import ProcessGroup
 from stylerf.training.fit.engine import Batch, CpuEngine, coverage_gradient, opacity_gradient
 from stylerf.training.fit.fitter import Fitter
+from tests.stylerf.blends import MILD
 from tests.stylerf.fields.test_densities import LARGER
 from tests.stylerf.small import (
     SPARSE,
@@ -338,14 +339,16 @@ def test_a_view_is_the_cpus_picture(device):
     assert expected.masks["one"].any()
 
 
-@pytest.mark.parametrize(("transmittance", "backs", "z"), [(0.02, False, 3), (0.6, True, 6)])
-def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, backs, z, device):
+@pytest.mark.parametrize(("transmittance", "backs", "ahead", "z"), [(0.02, 0, 0, 3), (0.6, 1, 0, 6), (0.02, 0, 2.3, 3)])
+def test_depth_is_that_of_a_surface_whatever_light_passes_it(transmittance, backs, ahead, z, device):
     from stylerf.rendering.view_gpu import GpuRenderer
 
-    field, camera = wall_in_front(transmittance, backs), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, np.eye(4))
+    pose = np.eye(4)
+    pose[2, 3] = ahead
+    field, camera = wall_in_front(transmittance, bool(backs)), Camera("view", 5, 4, 40.0, 40.0, 2.5, 2.0, pose)
     expected = render_view(field, camera, threads=1)
     found = GpuRenderer(field, device, "float32").view(camera)
-    np.testing.assert_allclose(found.z, z, rtol=0.05)
+    np.testing.assert_allclose(ahead + found.z, z, rtol=0.05)
     # Skips of empty cells are whole numbers of steps, 4 to a cell here: rounding decides between two of them, and a
     # sample may lie a step apart, which is z^2 / 384 of depth.
     np.testing.assert_allclose(found.z, expected.z, atol=z**2 / 384)
@@ -378,7 +381,8 @@ def test_fixed_surfaces_paint_and_learn_as_on_the_cpu(device, over):
 
     field, cameras = thin_field(step=1 / 6), dome(2, 3, 6)
     field.density.values[-1] = -2.0
-    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, device)
+    field.color_map = MILD if over else None  # a part keeps the map of the whole
+    cpu, gpu = FixedGeometry(field, cameras, 0.2, 1), GpuFixedGeometry(field, cameras, 0.2, 1, 0, device=device)
     marked = np.zeros((4, 4, 4), bool)
     marked[:, :2] = True
     field.color = RegionColor(field.color, hash_color(6), marked) if over else hash_color(6)

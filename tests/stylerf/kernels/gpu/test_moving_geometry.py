@@ -13,6 +13,7 @@ from stylerf.training.deform import deformer, fitter
 from stylerf.training.deform.deformer import Deformer, PhotoError
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
 from stylerf.training.stylize.geometry import FixedGeometry, MovingGeometry
+from tests.stylerf.blends import MILD
 from tests.stylerf.kernels.gpu.test_engine import thin_field
 from tests.stylerf.small import displacement_grid, hash_color
 from tests.stylerf.training.running import saved
@@ -169,6 +170,18 @@ def test_the_initialization_is_the_cpus(device):
         made.run()
     assert again.state.step == 3 and again.state.best == pytest.approx(cpu.state.best, abs=1e-3)
     np.testing.assert_allclose(again.field.displacement, cpu.field.displacement, atol=1e-2 * moved)
+
+
+def test_photos_pull_through_a_color_map_as_on_the_cpu(device):
+    drawn, found = box_bank(4, 10).draw(24, np.random.default_rng(0), 4)[:3], []
+    for where in (None, device):
+        deformer_of, error_of = deform_backend(where)
+        field = thin_field(step=STEP)
+        field.color_map = MILD
+        made = deformer_of(field, bent(), dome(3, 1), VERTICES, 0, 1)
+        error_of(made, 1.0, 0.05, 1).learn(*drawn, np.full(24, 0.5, np.float32))
+        found.append(torch.as_tensor(made.gradients).cpu().numpy().reshape(-1))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-4 * np.abs(found[0]).max())
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ import torch
 from stylerf.fields.deformation import Deformation
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.training.common.ray_dataset import RayDataset
-from stylerf.training.deform.deformer import Deformer
+from stylerf.training.deform.deformer import Deformer, PhotoError
 from stylerf.training.deform.fitter import DeformationFitter, DeformSettings
+from tests.stylerf.blends import MILD
 from tests.stylerf.training.running import saved
 from tests.stylerf.training.scenes import box_bank, box_fitter, box_photo, dome
 
@@ -95,6 +96,20 @@ def test_gradient_reaches_the_network_exactly(scene):
     deformer.adam.step = lambda rate: seen.update(found=deformer.adam.gradients[0].copy())
     deformer.step(1e-3, 0.3)
     np.testing.assert_allclose(seen["found"], wanted, rtol=1e-3, atol=1e-4)
+
+
+def test_photos_pull_at_shapes_through_the_fields_color_map(scene):
+    field = scene()
+    field.color_map = MILD
+    deformer = Deformer(field, deformation(), dome(4, 1), 6, 0, 1)
+    error, drawn = PhotoError(deformer, 1.0, 0.0, 1), box_bank(4, 1).draw(256, np.random.default_rng(1), 0)[:3]
+    way = np.random.default_rng(2).normal(size=deformer.grid.shape).astype(np.float32)
+    error.learn(*drawn, np.full(256, 0.5, np.float32))
+    errors = []
+    for step in (1e-3, -1e-3):
+        deformer.grid[:] = step * way
+        errors.append(error.of(*drawn))
+    assert float(deformer.gradients[0] @ way.ravel()) == pytest.approx((errors[0] - errors[1]) / 2e-3, rel=0.05)
 
 
 def test_slopes_are_held_back_however_hard_the_loss_pulls(scene):

@@ -14,6 +14,7 @@ from stylerf.training.stylize.refnpr import LATE_WEIGHT, RefNpr
 from stylerf.training.stylize.scene import StyledScene
 from stylerf.training.stylize.settings import RefNprSettings
 from stylerf.training.stylize.trainer import StylizationTrainer
+from tests.stylerf.blends import MILD
 from tests.stylerf.small import displacement_grid
 from tests.stylerf.style.small_trunk import small_trunk
 from tests.stylerf.training.running import Stopped, assert_same_bits, result_of, resumed
@@ -220,6 +221,26 @@ def test_of_a_part_what_lies_beside_it_keeps_its_colors_to_the_bit():
         and np.abs(requested[part > 0.999]).max() < 0.01
     )
     assert 0.5 < one.method.registered_share <= 1
+
+
+def test_a_part_of_a_field_with_a_color_map_is_seen_and_learned_through_it():
+    """Beside the part the field keeps its colors; the gradient is that of the mapped colors."""
+    given = problem(settings(RefNprSettings, match="none"), apart=0.2, raw=6.0, region=upper_half())
+    given.field.color_map = MILD
+    scene, random = StyledScene(given, new_color), np.random.default_rng(0)
+    before, after = (render_view(one, scene.cameras[1], threads=1).rgb for one in (given.field, scene.field))
+    np.testing.assert_array_equal(after, before)
+    # Surfaces keep positions in sixteen bits, and leave out what weighs little.
+    np.testing.assert_allclose(scene.render(1).reshape(before.shape), before, atol=0.05)
+    values, pixels = scene.field.color.values, np.flatnonzero(scene.coverage(1).ravel() > 0.5)
+    towards, way = random.normal(size=(len(pixels), 3)), random.normal(size=len(values)).astype(np.float32)
+    to = np.zeros((1, len(values)), np.float32)
+    scene.geometry.learn(scene.geometry.paint(1, pixels)[1], towards.astype(np.float32), to)
+    change, at_rest = [], values.copy()
+    for step in (0.01, -0.01):
+        values[:] = at_rest + np.float32(step) * way
+        change.append(float((scene.geometry.paint(1, pixels)[0] * towards).sum()))
+    assert float(to[0] @ way) == pytest.approx((change[0] - change[1]) / 0.02, rel=1e-2)
 
 
 def test_a_reference_that_is_painted_of_a_part_is_the_photo_beside_it():
