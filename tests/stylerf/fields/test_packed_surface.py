@@ -101,7 +101,11 @@ def test_teaching_chosen_pixels_is_teaching_their_part_of_the_whole():
 def test_views_beyond_the_memory_are_marched_again_and_look_the_same():
     field, views = scene(), [camera(), camera()]
     plenty, none = (FixedGeometry(field, views, SHARE, 1, memory) for memory in (1e8, 1))
-    assert plenty.surface(1) is plenty.surface(1) and none.surface(1) is not none.surface(1)
+    first = [one.surface(1) for one in (plenty, none)]
+    assert none.surface(1) is first[1]  # the last view's is kept
+    for one in (plenty, none):
+        one.surface(0)
+    assert plenty.surface(1) is first[0] and none.surface(1) is not first[1]
     assert np.array_equal(plenty.paint(1, np.arange(117))[0], none.paint(1, np.arange(117))[0])
 
 

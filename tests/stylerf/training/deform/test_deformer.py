@@ -102,7 +102,7 @@ def test_photos_pull_at_shapes_through_the_fields_color_map(scene):
     field = scene()
     field.color_map = MILD
     deformer = Deformer(field, deformation(), dome(4, 1), 6, 0, 1)
-    error, drawn = PhotoError(deformer, 1.0, 0.0, 1), box_bank(4, 1).draw(256, np.random.default_rng(1), 0)[:3]
+    error, drawn = PhotoError(deformer, 1.0, 0.0, 1), box_bank(4, 1).draw(256, np.random.default_rng(1), 4)[:3]
     way = np.random.default_rng(2).normal(size=deformer.grid.shape).astype(np.float32)
     error.learn(*drawn, np.full(256, 0.5, np.float32))
     errors = []
