@@ -65,6 +65,19 @@ class Options:
             return None
         return build_config(config, self._flags, table, str(self._path), self._others)
 
+    def file_for_others(self) -> Path | None:
+        """Return the file for commands that this one runs, None without one.
+
+        Raises:
+            UsageError: it holds options of this verb outside a table, which the others would take for theirs.
+        """
+        if self._path and self._top:
+            raise UsageError(
+                f"{self._path}: {min(self._top)!r} is outside a table, where commands that `stylerf {self.verb}` runs "
+                f"would take it for theirs; put it under [{self.verb}]"
+            )
+        return self._path
+
     def table(self, verb: str) -> dict[str, Any]:
         """Return the file's table of a verb, empty without one."""
         return self._tables.get(verb, {})
@@ -148,6 +161,10 @@ class Session:
             no_paths=self._args.no_paths,
             processes=self.processes,
         )
+
+    def file_for_others(self) -> Path | None:
+        """Return what Options.file_for_others does."""
+        return self._options.file_for_others()
 
     def say(self, text: str) -> None:
         """Print one line on stderr, unless --quiet."""

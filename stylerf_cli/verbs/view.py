@@ -1,6 +1,7 @@
 """`stylerf view WORK`: a scene in the browser, to look at, select in, recolor and stylize."""
 
 import webbrowser
+from pathlib import Path
 from typing import Any
 
 from schemas.errors import UsageError
@@ -18,8 +19,8 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--of", metavar="FIELD", default="", help="field to show first (default: the newest)")
 
 
-def passed_on(args: Any, common: Common) -> tuple[str, ...]:
-    """Return the common options that hold for the commands of the page too."""
+def passed_on(args: Any, common: Common, file: Path | None) -> tuple[str, ...]:
+    """Return the common options that hold for the commands of the page too. file: that of --config."""
     found: tuple[str, ...] = ()
     for flag, value, default in (
         ("--seed", common.seed, 0), ("--threads", common.threads, None), ("--device", common.device, "auto"),
@@ -29,7 +30,7 @@ def passed_on(args: Any, common: Common) -> tuple[str, ...]:
             found += (flag, str(value))
     if args.no_paths:
         found += ("--no-paths",)
-    return found
+    return (*found, "--config", str(file)) if file else found
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
@@ -42,8 +43,8 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     for flag, why in (("force", "the page asks before it replaces anything"), ("only", "the page runs whole edits")):
         if getattr(args, flag):
             raise UsageError(f"--{flag} has no effect here: {why}; leave it out")
-    threads = common.threads or usable_threads()
-    viewer = Viewer(args.work, session.config, threads, args.of, session.say, passed_on(args, common))
+    threads, passed = common.threads or usable_threads(), passed_on(args, common, session.file_for_others())
+    viewer = Viewer(args.work, session.config, threads, args.of, session.say, passed)
     try:
         address = f"{viewer.url}  (Ctrl-C ends the viewer)"
         if session.json:  # stdout is for the result

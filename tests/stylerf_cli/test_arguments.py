@@ -2,6 +2,7 @@
 
 import re
 import textwrap
+from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -209,16 +210,27 @@ def test_the_method_of_a_region_may_be_set_in_the_file(tmp_path):
 
 
 def test_the_page_of_view_hands_on_the_common_options():
-    from argparse import Namespace
-
     from stylerf_cli.session import Common
     from stylerf_cli.verbs.view import passed_on
 
-    assert passed_on(Namespace(no_paths=False), Common()) == ()
+    assert passed_on(Namespace(no_paths=False), Common(), None) == ()
     given = Common(seed=3, device="cpu", threads=2, memory=4_000_000_000)
-    assert passed_on(Namespace(no_paths=True), given) == (
+    assert passed_on(Namespace(no_paths=True), given, Path("c.toml")) == (
         "--seed", "3", "--threads", "2", "--device", "cpu", "--memory", "4000000000", "--no-paths",
+        "--config", "c.toml",
     )  # fmt: skip
+
+
+def test_a_file_for_other_verbs_holds_options_in_tables_alone(tmp_path):
+    file = tmp_path / "c.toml"
+    for text, fault in (("seed = 3\n[fit]\nbudget = '9s'\n", ""), ("port = 80\n", "'port' is outside a table")):
+        file.write_text(text)
+        options = Options("view", Namespace(config=file), ["view", "fit"])
+        if fault:
+            with pytest.raises(UsageError, match=fault):
+                options.file_for_others()
+        else:
+            assert options.file_for_others() == file
 
 
 def test_advanced_options_are_listed_in_the_whole_help_alone():
