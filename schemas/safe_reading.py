@@ -40,7 +40,7 @@ def check_allowance(path: Path, width: int, height: int, takes: int) -> None:
 
 MOST_JSON = 256 << 20  # bytes; a scene of 10,000 views takes 8 MB
 DEEPEST = 100  # levels of objects and lists
-_MORE = 1 << 20  # bytes read at once of a file that grows, or whose file system tells no size (/proc)
+_MORE = 1 << 20  # bytes read at once of a file that grows, or whose file system reports no size (/proc)
 
 
 @contextmanager

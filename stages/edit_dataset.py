@@ -88,7 +88,7 @@ def _exr(seen: Seen, edit: EditView, camera: Camera, field: RadianceField) -> Ex
         ("beside", edit.edges[:, 1]),
     ):
         full[name][edit.pixels] = values
-    # What ends in the background has no depth, and lies as far as the space reaches.
+    # A ray that ends in the background has no depth: in the buffer it is as far as the space reaches.
     depth = np.where(seen.depth > 0, seen.depth, np.float32(field.space.far))
     planes = {name: plane.reshape(seen.alpha.shape) for name, plane in full.items()}
     return ExrView(

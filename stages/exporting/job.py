@@ -69,7 +69,7 @@ class ExportJob:
 
         Args:
             points: [n, 3], scene units.
-            sizes: [n], of what lies there, such as splats or faces, scene units.
+            sizes: [n], of the splats or faces at these points, scene units.
         """
         matrix = file_from_scene(self.scene, self.config.units)
         reach = np.abs(applied(matrix, points.astype(np.float64))).max(1)

@@ -77,7 +77,7 @@ def write_spz(path: Path, splats: Gaussians) -> int:
 
 
 def lost_in_spz(splats: Gaussians, bits: int) -> str:
-    """Return in words what SPZ cannot hold of the splats; "" if nothing matters.
+    """Describe what SPZ cannot hold of the splats; "" if nothing matters.
 
     Args:
         bits: behind the point of positions.

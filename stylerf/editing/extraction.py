@@ -83,7 +83,7 @@ JITTERS = 512  # a jitter is this fraction of a view's depth range
 OPAQUE = 0.5  # least alpha, of the field and of the photo, of an edited pixel
 SURE = 0.98  # least weight of a pixel whose depth counts for edges
 EVERYWHERE = np.ones((1, 1, 1), bool)  # the whole cube, as one marked cell
-MOSTLY = 0.5  # fraction of the alpha inside that lies before the background, up to which the ray ends there
+MOSTLY = 0.5  # a ray ends in the background if no more than this fraction of its alpha inside is in front of it
 TOUCHING = 0.5  # fraction of a ray's opacity inside the growing grid from which the ray ends there
 
 

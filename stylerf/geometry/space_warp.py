@@ -152,7 +152,7 @@ class SpaceWarp:
         ahead = float(center[2]) if self.kind == "frustum" else 0.0
         if ahead <= AHEAD * self.near:
             return self.near
-        return max(self.near - ahead, 1e-3 * self.near)  # not 0, which stands for a depth where nothing is seen
+        return max(self.near - ahead, 1e-3 * self.near)  # not 0, which is the depth where nothing is seen
 
     @property
     def middle(self) -> float:

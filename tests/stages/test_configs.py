@@ -28,8 +28,8 @@ def test_values_out_of_range_are_refused(config, options, words):
 
 def test_shares_that_are_one_but_for_rounding_are_taken():
     for inside, beside in ((0.8, 0.2), (0.9, 0.1), (0.7, 0.3)):
-        FinetuneConfig(colors="field", inside=inside, beside=beside)
-    FinetuneConfig(inside=0.9)  # beside has no say while only the region's own colors learn
+        assert FinetuneConfig(colors="field", inside=inside, beside=beside).inside == inside
+    assert FinetuneConfig(inside=0.9).inside == 0.9  # `beside` is not used while only the region's own colors learn
 
 
 @pytest.mark.parametrize("text", ["a:1.2.3,4", "a:2,1", "a:.,1", "a:1,2,3 "])

@@ -70,10 +70,10 @@ def test_errors_of_the_page_leave_a_run_its_end(monkeypatch):
 
 
 def test_one_list_that_fails_leaves_the_others_up_to_date():
-    told, listed = [], []
+    messages, listed = [], []
     page = SimpleNamespace(desk=SimpleNamespace(runs=Runs()), status=SimpleNamespace(), _complaint="")
-    page.tell = lambda text, failed: told.append(text)
+    page.tell = lambda text, failed: messages.append(text)
     page.rest = [lambda: 1 / 0, lambda: listed.append(1)]
     for _ in range(2):
         Page.changed(page)
-    assert told == ["division by zero"] and listed == [1, 1]
+    assert messages == ["division by zero"] and listed == [1, 1]

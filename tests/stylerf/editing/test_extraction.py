@@ -98,7 +98,7 @@ def test_the_depth_of_a_whole_ray_excludes_the_background():
 
 
 def test_rays_that_end_in_the_background_have_no_depth_and_leave_that_of_others_alone():
-    """A wall with a hole, and a region that holds both it and what lies infinitely far behind the hole."""
+    """A wall with a hole, and a region that holds both it and the infinitely far background in the hole."""
     field, camera = wall_in_front(1e-4), masked_wall(0)[1].cameras[0]
     solid = (field.occupancy.distances == 0).reshape((field.occupancy.cells,) * 3)
     solid[40:56, 40:56] = False
