@@ -93,7 +93,8 @@ def measure_fit(row: ViewRow, render: Render, photo: Photo, scores: Mapping[str,
     for key, score in scores.items():
         row.measure((key,), partial(score, render.image, reference))
     if photo.depth is not None:
-        row.measure(depth_keys, partial(_depth_values, render, photo.depth), "the render hides no known depth")
+        depths = partial(_depth_values, render, photo.depth)
+        row.measure(depth_keys, depths, "no pixel of a known depth is opaque in the render")
 
 
 def _depth_values(render: Render, truth: np.ndarray) -> tuple:
