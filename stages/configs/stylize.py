@@ -50,7 +50,10 @@ class StylizeConfig:
     diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
     structure_weight: float = option(
         -1.0,
-        help="weight of the photo's edges that are missing (-1: 4; nearest, gram, refnpr: 0; desrf: 1, of objects 0.5)",
+        help="weight of the photo's edges that are missing (-1: 4; nearest, gram: 0; desrf: 1, of objects 0.5)",
+    )
+    gram_weight: float = option(
+        -1.0, help="weight of Gram matrices, which compare whole images, within the style distance (-1: 2; nearest: 0)"
     )
     stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
     rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
@@ -154,7 +157,7 @@ class StylizeConfig:
             raise ValueError("max_gain must not be negative (0: no limit)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
-        self._check_weights("variation_weight", "content_weight", "color_weight", "structure_weight")
+        self._check_weights("variation_weight", "content_weight", "color_weight", "structure_weight", "gram_weight")
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
             raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
@@ -265,6 +268,8 @@ class SnerfConfig(StylizeConfig):
             )
         if self.image_by == "gram":
             self._refuse_matching("--image-by gram")
+            if self.gram_weight != -1:
+                raise ValueError("--image-by gram compares Gram matrices alone; leave --gram-weight out")
         if not 0 < self.image_share < 1 or self.image_rate <= 0:
             raise ValueError("image_share must be between 0 and 1, image_rate > 0")
 
@@ -318,6 +323,9 @@ class RefNprConfig(ArfConfig):
             raise ValueError(f"a view has two references: {', '.join(views)}")
         if self.reference_steps < 1 or self.image_rate <= 0 or self.reference_weight < 0:
             raise ValueError("reference_steps must be at least 1, image_rate > 0, reference_weight at least 0")
+        for name in ("structure_weight", "gram_weight"):
+            if getattr(self, name) != -1:
+                raise ValueError(f"--{name.replace('_', '-')} has no effect with --method refnpr; leave it out")
 
 
 CONFIGS: dict[str, type[StylizeConfig]] = {

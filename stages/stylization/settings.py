@@ -35,13 +35,16 @@ FINER = 1.25  # cells per pixel width
 # The finest colors learn at a style image's roughness over ROUGH, within bounds (decision 0057).
 ROUGH, DETAIL_RATES = 0.05, (0.1, 1.0)
 FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
+PLAIN = {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
 DEFAULTS = {
-    "transport": {"content_weight": 0.005, "color_weight": 1.0, "structure_weight": 4.0, "coarse": 0.5},
-    "nnfm": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
-    "gram": {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "coarse": 0.0},
-}
+    "transport": {
+        "content_weight": 0.005, "color_weight": 1.0, "structure_weight": 4.0, "gram_weight": 2.0, "coarse": 0.5
+    },
+    "nnfm": PLAIN,
+    "gram": PLAIN,
+}  # fmt: skip
 # Largest change of a displacement per distance, times --bend: 1 would fold space.
 SLOPE, STEEPEST = 0.7, 0.9
 DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose silhouettes bend them sooner
@@ -52,7 +55,7 @@ DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
 DEFORMED_STRUCTURE = {True: 1.0, False: 0.5}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
-REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "coarse": 0.0}
+REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
 LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
@@ -162,6 +165,12 @@ def detail_rate_of(config: ArfConfig, style_image: torch.Tensor | None, long_sid
     return min(max(rough / ROUGH, slowest), full)
 
 
+def weights_of(style: float, variation: float, others: Mapping[str, float]) -> StyleWeights:
+    """Weights of the loss terms; others: some of DEFAULTS."""
+    named = {name.removesuffix("_weight"): value for name, value in others.items() if name.endswith("_weight")}
+    return StyleWeights(style=style, variation=variation, **named)
+
+
 def settings_of(
     config: StylizeConfig,
     long_side: int,
@@ -193,8 +202,7 @@ def settings_of(
     variation, variation_weight = ("diagonal", 0.1) if isinstance(config, DesrfConfig) else ("squared", 1.0)
     if config.variation_weight >= 0:
         variation_weight = config.variation_weight
-    photo = found["content_weight"], variation_weight, found["color_weight"], found["structure_weight"]
-    weights = StyleWeights(config.style_weight, *photo)
+    weights = weights_of(config.style_weight, variation_weight, found)
     feature_side = FEATURE_SIDE if loss == "transport" else SMALL_VIEW
     feature_scale = config.feature_scale or min(1.0, max(0.5, feature_side / long_side))
     own: dict[str, Any] = {}
@@ -208,9 +216,7 @@ def settings_of(
         own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
-        weights = StyleWeights(
-            1.0, of_image["content_weight"], variation_weight, of_image["color_weight"], of_image["structure_weight"]
-        )
+        weights = weights_of(1.0, variation_weight, of_image)
     return same_named(
         config,
         kind,

@@ -62,15 +62,30 @@ def content_distance(features: Tensor, reference: Tensor) -> Tensor:
 
 def gram_matrix(features: Tensor, weights: Tensor | None = None) -> Tensor:
     """Return F F^T / (c n), [c, c], of features [c, h, w]; n is h w, or the sum of `weights` [h, w]."""
-    channels = features.shape[0]
-    flat = features.flatten(1)
     if weights is None:
-        return flat @ flat.T / (channels * flat.shape[1])
+        return _gram(features, None, features[0].numel())
     total = weights.sum()
     # Reading the total on a GPU would wait for it; there the NaN that results is caught later.
     if not total.is_cuda and float(total) <= 0:
         raise InvalidValue("a Gram matrix needs a position of positive weight")
-    return (flat * weights.flatten()) @ flat.T / (channels * total)
+    return _gram(features, weights, total)
+
+
+def _gram(features: Tensor, weights: Tensor | None, total: Tensor | int) -> Tensor:
+    flat = features.flatten(1)
+    return (flat if weights is None else flat * weights.flatten()) @ flat.T / (len(flat) * total)
+
+
+def gram_difference(features: Tensor, style_gram: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return |G - S|^2 / (|G|^2 + |S|^2) of Gram matrices, a scalar: 0 if equal, 1 if without a common feature.
+
+    Relative to both, so that it outweighs no other term, whatever the photo and the style image. 1, without a gradient,
+    where all weights [h, w] are 0.
+    """
+    total = features[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
+    gram = _gram(features, weights, total)
+    scale = gram.square().sum() + style_gram.square().sum()
+    return (gram - style_gram).square().sum() / scale.clamp_min(1e-12)
 
 
 def gram_distance(features: Tensor, style_gram: Tensor, weights: Tensor | None = None) -> Tensor:
@@ -139,13 +154,14 @@ class StyleWeights:
     """Weights of the loss terms.
 
     Attributes:
-        style: Of the mean nearest-neighbor distance.
+        style: Of the style distance.
         content: Of the content distance, relative to the style image's mean squared feature: squared features of
             different extractors differ by a factor of up to 10,000, so absolute weights (ARF: 1e-3) do not transfer.
         variation: Of the total variation.
         color: Of the mean squared difference of the mean colors of CELLS cells: features hardly depend on color, which
             would drift otherwise (docs/decisions/0012).
         structure: Of the edges of the photo that are missing (see missing_edges).
+        gram: Of gram_difference() within the style distance, where it is added to that of single features.
     """
 
     style: float = 1.0
@@ -153,6 +169,7 @@ class StyleWeights:
     variation: float = 1.0
     color: float = 10.0
     structure: float = 0.0
+    gram: float = 0.0
 
     @property
     def need_photo(self) -> bool:
@@ -252,6 +269,7 @@ class StyleObjective(FeatureLoss):
         self.style: dict[str, StyleRows] = {}
         # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
+        self.grams = {block: gram_matrix(feature) for block, feature in found.items()}
         self._keep(found, most_rows, basis, seed)
 
     def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
@@ -290,6 +308,9 @@ class StyleObjective(FeatureLoss):
             weights = None if alpha is None else position_weights(alpha[window], feature, self.around)
             total = feature[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
             style_loss = style_loss + self._style_distance(block, feature, weights)
+            if self.weights.gram > 0:
+                apart = gram_difference(feature, self.grams[block], weights)
+                style_loss = style_loss + self.weights.gram * apart / len(found)
             if content is not None and self.weights.content > 0:
                 apart = content_distance(feature, content.features[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
@@ -323,7 +344,7 @@ class GramObjective(StyleObjective):
     """
 
     def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        self.grams = {block: gram_matrix(feature) for block, feature in found.items()}
+        pass  # their Gram matrices do
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
         if weights is not None and float(weights.sum()) <= 0:

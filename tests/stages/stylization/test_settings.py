@@ -60,20 +60,21 @@ def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
 
 
 @pytest.mark.parametrize(
-    ("method", "options", "structure", "scale"),
+    ("method", "options", "structure", "gram", "scale"),
     [
-        ("arf", {}, 4.0, 512 / 800),
-        ("arf", {"match_by": "nearest"}, 0.0, 0.5),
-        ("snerf", {}, 0.0, 0.5),
-        ("refnpr", {}, 4.0, 512 / 800),
-        ("arf", {"structure_weight": 1.0, "feature_scale": 0.25}, 1.0, 0.25),
+        ("arf", {}, 4.0, 2.0, 512 / 800),
+        ("arf", {"match_by": "nearest"}, 0.0, 0.0, 0.5),
+        ("arf", {"match_by": "nearest", "gram_weight": 3.0}, 0.0, 3.0, 0.5),
+        ("desrf", {}, 1.0, 2.0, 512 / 800),
+        ("snerf", {}, 0.0, 0.0, 0.5),
+        ("snerf", {"image_by": "features"}, 4.0, 2.0, 512 / 800),
+        ("refnpr", {}, 4.0, 2.0, 512 / 800),
+        ("arf", {"structure_weight": 1.0, "gram_weight": 0.0, "feature_scale": 0.25}, 1.0, 0.0, 0.25),
     ],
 )
-def test_how_images_are_compared_decides_on_edges_and_size(method, options, structure, scale):
+def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, options, structure, gram, scale):
     found = settings_of(CONFIGS[method](style="x", **options), 800, True)
-    assert (found.weights.structure, found.feature_scale) == (structure, scale)
-    if method == "refnpr":  # a view follows its reference, not the photo's edges
-        assert found.reference_feature_weights.structure == 0
+    assert (found.weights.structure, found.weights.gram, found.feature_scale) == (structure, gram, scale)
 
 
 def test_shapes_of_captures_learn_faster_than_those_of_objects():
@@ -123,6 +124,21 @@ def test_matching_is_refused_where_no_features_are_matched(method, options):
     with pytest.raises(ValueError, match="--match-by and --diversity have no effect"):
         CONFIGS[method](**options)
     CONFIGS[method](**options | {"match_by": "transport", "diversity": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("snerf", {"gram_weight": 1.0}),
+        ("refnpr", {"gram_weight": 1.0}),
+        ("refnpr", {"structure_weight": 1.0}),
+    ],
+)
+def test_weights_of_terms_that_a_method_lacks_are_refused(method, options):
+    (name,) = options
+    with pytest.raises(ValueError, match=f"--{name.replace('_', '-')}"):
+        CONFIGS[method](style="x", **options)
+    CONFIGS[method](style="x", **{name: -1.0})
 
 
 def test_a_budget_of_steps_has_an_image_and_a_step_of_the_field_for_every_round():

@@ -15,6 +15,9 @@ from stylerf.style.style_loss import (
     StyleObjective,
     StyleWeights,
     TransportObjective,
+    gram_difference,
+    gram_matrix,
+    position_weights,
     window_of,
 )
 from tests.stylerf.style.small_trunk import picture, small_trunk
@@ -406,6 +409,39 @@ def test_structure_is_part_of_the_loss_where_it_has_a_weight():
     expected = float(style_loss.missing_edges(image, style_loss.luma_gradient(photo)))
     assert float(loss) == pytest.approx(2 * expected, rel=1e-2) and parts["structure"] > 0
     assert objective(StyleWeights(1, 0, 0, 0, 0)).weights.need_photo is False
+
+
+def test_the_difference_of_gram_matrices_is_relative_to_both():
+    features = torch.rand(6, 5, 7, generator=torch.Generator().manual_seed(0))
+    gram = gram_matrix(features)
+    assert float(gram_difference(features, gram)) == pytest.approx(0, abs=1e-6)
+    for factor in (0.01, 0.5, 2.0, 100.0):  # of the Gram matrix: strong and weak features are equally far
+        expected = (factor - 1) ** 2 / (factor**2 + 1)
+        assert float(gram_difference(factor**0.5 * features, gram)) == pytest.approx(expected, rel=1e-4)
+    one, other = (torch.cat([f, torch.zeros(6, 5, 7)][::way]) for f, way in ((features, 1), (features, -1)))
+    assert float(gram_difference(one, gram_matrix(other))) == pytest.approx(1)
+    left = torch.zeros(5, 7)
+    left[:, :3] = 1
+    changed = torch.where(left > 0, features, features.flip(2))
+    assert float(gram_difference(changed, gram, left)) == float(gram_difference(features, gram, left))
+    features.requires_grad_()
+    nothing = gram_difference(features, gram, torch.zeros(5, 7))
+    nothing.backward()
+    assert float(nothing.detach()) == 1 and float(features.grad.abs().max()) == 0
+
+
+@pytest.mark.parametrize("kind", [StyleObjective, TransportObjective])
+def test_gram_matrices_are_part_of_the_style_distance_where_they_have_a_weight(kind):
+    image, alpha, painting = picture(HEIGHT, WIDTH, 2), object_alpha(), picture(30, 40, 1)
+    plain, made = (
+        kind(small_trunk("conv1_2,conv2_1"), painting, (HEIGHT, WIDTH), StyleWeights(2, 0, 0, 0, 0, gram), 1.0, basis=0)
+        for gram in (0.0, 3.0)
+    )
+    features = made.features_of(image)
+    weights = {block: position_weights(alpha, feature, made.around) for block, feature in features.items()}
+    apart = [gram_difference(feature, made.grams[block], weights[block]) for block, feature in features.items()]
+    expected = float(plain(image, None, alpha)[0]) + 2 * 3 * float(sum(apart)) / 2
+    assert len(apart) == 2 and float(made(image, None, alpha)[0]) == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", [StyleObjective, GramObjective, TransportObjective])
