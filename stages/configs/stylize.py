@@ -56,6 +56,9 @@ class StylizeConfig:
         -1.0, help="weight of Gram matrices, which compare whole images, within the style distance (-1: 2; nearest: 0)"
     )
     stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
+    stroke_by_depth: bool = option(
+        False, help="strokes half as large at twice the depth; --stroke is their size at the scene's median depth"
+    )
     rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
     keep_frame: bool = option(False, help="use the style image with the frame or paper around it")
     match: str = option(
@@ -171,6 +174,8 @@ class StylizeConfig:
     def _refuse_style_image(self) -> None:
         if self.stroke != StylizeConfig.stroke:
             raise ValueError("--stroke has no effect with --reference; leave it out")
+        if self.stroke_by_depth:
+            raise ValueError("--stroke-by-depth has no effect with --reference; leave it out")
         if self.keep_frame and not self.style:
             raise ValueError("--keep-frame is of the style image, and --reference gives none; leave it out")
 

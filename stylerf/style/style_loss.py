@@ -3,8 +3,9 @@
 The color term keeps regions of the photo, in the style image's colors, as dark, bright or yellow as they are.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -26,6 +27,11 @@ def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor
     """
     covered = F.interpolate(alpha[None, None], size=features.shape[1:], mode="area")
     return F.max_pool2d(covered, 2 * around + 1, 1, around)[0, 0]
+
+
+def nearest_positions(sizes: Tensor, features: Tensor) -> Tensor:
+    """Return each feature position's value of integers [h, w], [h', w']: that of the nearest pixel."""
+    return F.interpolate(sizes[None, None].float(), size=features.shape[1:], mode="nearest")[0, 0].long()
 
 
 def nearest_neighbor_distance(
@@ -220,6 +226,19 @@ def scaled_style(style_image: Tensor, size: tuple[int, int], scale: float, style
     return stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke)
 
 
+class StyleBlock(NamedTuple):
+    """What is known of a style image in one block of features: rows to match, and the Gram matrix [c, c]."""
+
+    rows: StyleRows
+    gram: Tensor
+
+    @classmethod
+    def of(cls, feature: Tensor, most_rows: int, basis: int, seed: int) -> Self:
+        """From features [c, h, w]."""
+        rows = style_rows(feature, most_rows, seed=seed)
+        return cls(rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows, gram_matrix(feature))
+
+
 class StyleObjective(FeatureLoss):
     """The loss of an image [3, h, w] for a style image whose features are computed once.
 
@@ -232,7 +251,8 @@ class StyleObjective(FeatureLoss):
         most_rows: Style features kept for matching.
         basis: Leading directions in which neighbors are searched; 0 for all, exact.
         style_scale: Scale of the style image, relative to `scale`.
-        stroke: Size of its strokes, relative to that; see style_features.stroke_picture.
+        strokes: Sizes of its strokes, relative to that; see style_features.stroke_picture. Of several, every pixel of
+            an image has its own.
         rotations: Match with the style image turned by 90, 180 and 270 degrees too.
         seed: Of the choice of style features.
         variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
@@ -258,31 +278,49 @@ class StyleObjective(FeatureLoss):
         variation: str = "squared",
         around: int = 0,
         diversity: float = 0.5,
-        stroke: float = 1.0,
+        strokes: Sequence[float] = (1.0,),
         rotations: bool = False,
         gray: bool = False,
     ) -> None:
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
-        picture = scaled_style(style_image, size, scale, style_scale, stroke).to(self.device)
-        found = style_features(extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)
-        self.style: dict[str, StyleRows] = {}
+        found = [self._features_of_style(style_image, size, style_scale, stroke, rotations, seed) for stroke in strokes]
         # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).
-        self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found.items()}
-        self.grams = {block: gram_matrix(feature) for block, feature in found.items()}
-        self._keep(found, most_rows, basis, seed)
+        self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found[0].items()}
+        self.styles = [
+            {block: StyleBlock.of(feature, most_rows, basis, seed) for block, feature in one.items()} for one in found
+        ]
 
-    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        """Store what is needed of the style image's features [c, h, w], by block."""
-        for block, feature in found.items():
-            rows = style_rows(feature, most_rows, seed=seed)
-            self.style[block] = rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows
+    def _features_of_style(
+        self, style_image: Tensor, size: tuple[int, int], style_scale: float, stroke: float, rotations: bool, seed: int
+    ) -> dict[str, Tensor]:
+        picture = scaled_style(style_image, size, self.scale, style_scale, stroke).to(self.device)
+        return style_features(self.extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)
 
-    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
-        """Return the style distance of features [c, h, w] of one block; weights [h, w]."""
-        distances, _ = nearest_neighbor_distance(
-            feature, self.style[block], weights, self.memory_mb, self.half is not None
-        )
+    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None, sizes: Tensor | None) -> Tensor:
+        """Return the style distance of features [c, h, w] of one block; weights [h, w], places in `styles` [h, w]."""
+        if sizes is None:
+            return self._distance(self.styles[0][block], feature, weights)
+        distance, flat = feature.new_zeros(()), torch.ones_like(feature[0]) if weights is None else weights
+        for at, style in enumerate(self.styles):
+            places = torch.nonzero(sizes.flatten() == at)[:, 0]
+            if len(places):
+                part, counted = feature.flatten(1)[:, places][:, None], flat.flatten()[places][None]
+                share = counted.sum() / flat.sum().clamp_min(1e-6)
+                distance = distance + share * self._distance(style[block], part, counted, len(places) / flat.numel())
+        return distance
+
+    def _distance(self, style: StyleBlock, feature: Tensor, weights: Tensor | None, share: float = 1.0) -> Tensor:
+        """Return the distance of features [c, h, w] to strokes of one size; weights [h, w]. share: of the image."""
+        distance = self._distance_of_features(style, feature, weights, share)
+        if self.weights.gram > 0:
+            distance = distance + self.weights.gram / len(self.unit) * gram_difference(feature, style.gram, weights)
+        return distance
+
+    def _distance_of_features(
+        self, style: StyleBlock, feature: Tensor, weights: Tensor | None, share: float
+    ) -> Tensor:
+        distances, _ = nearest_neighbor_distance(feature, style.rows, weights, self.memory_mb, self.half is not None)
         return distances.sum() / (distances.numel() if weights is None else weights.sum().clamp_min(1e-6))
 
     @torch.no_grad()
@@ -292,7 +330,12 @@ class StyleObjective(FeatureLoss):
         return Content(found, cell_colors(photo), luma_gradient(photo).half())
 
     def __call__(
-        self, picture: Tensor, content: Content | None, alpha: Tensor | None = None, window: Window = EVERYTHING
+        self,
+        picture: Tensor,
+        content: Content | None,
+        alpha: Tensor | None = None,
+        window: Window = EVERYTHING,
+        sizes: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, float]]:
         """Return the loss of an image and its terms.
 
@@ -301,16 +344,15 @@ class StyleObjective(FeatureLoss):
             content: Targets from the photo; None if unused (see StyleWeights.need_photo).
             alpha: [h, w], the object; what lies outside is ignored.
             window: The part that features are extracted from, the same as for `content` (see window_of).
+            sizes: [h, w] int, each pixel's place in `strokes`; None: the first.
         """
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
         for block, feature in found.items():
             weights = None if alpha is None else position_weights(alpha[window], feature, self.around)
             total = feature[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
-            style_loss = style_loss + self._style_distance(block, feature, weights)
-            if self.weights.gram > 0:
-                apart = gram_difference(feature, self.grams[block], weights)
-                style_loss = style_loss + self.weights.gram * apart / len(found)
+            places = None if sizes is None else nearest_positions(sizes[window], feature)
+            style_loss = style_loss + self._style_distance(block, feature, weights, places)
             if content is not None and self.weights.content > 0:
                 apart = content_distance(feature, content.features[block].float()) / self.unit[block]
                 content_loss = content_loss + (apart.mean() if weights is None else (apart * weights).sum() / total)
@@ -343,14 +385,13 @@ class GramObjective(StyleObjective):
     have distance 0.
     """
 
-    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        pass  # their Gram matrices do
-
-    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
+    def _distance_of_features(
+        self, style: StyleBlock, feature: Tensor, weights: Tensor | None, share: float
+    ) -> Tensor:
         if weights is not None and float(weights.sum()) <= 0:
             return feature.new_zeros(())
-        apart = gram_distance(feature, self.grams[block], weights).sum() / self.grams[block].square().sum()
-        return apart / len(self.grams)
+        apart = gram_distance(feature, style.gram, weights).sum() / style.gram.square().sum()
+        return apart / len(self.unit)
 
 
 class TransportObjective(StyleObjective):
@@ -359,20 +400,20 @@ class TransportObjective(StyleObjective):
     In each step POSITIONS random positions of a block stand for all of them.
     """
 
-    def _keep(self, found: dict[str, Tensor], most_rows: int, basis: int, seed: int) -> None:
-        self.style = {block: style_rows(feature, most_rows, seed) for block, feature in found.items()}
-
-    def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None) -> Tensor:
+    def _distance_of_features(
+        self, style: StyleBlock, feature: Tensor, weights: Tensor | None, share: float
+    ) -> Tensor:
         rows, flat = rows_of(feature), None if weights is None else weights.flatten()
         positions = torch.arange(len(rows)) if flat is None else torch.nonzero(flat > 0)[:, 0].cpu()
         if len(positions) == 0:
             return feature.new_zeros(())
-        if len(positions) > POSITIONS:
+        most = max(1, round(POSITIONS * share))
+        if len(positions) > most:
             order = torch.randperm(len(positions), generator=torch.Generator().manual_seed(self.draw))
-            positions = positions[order[:POSITIONS]]
+            positions = positions[order[:most]]
         positions = positions.to(feature.device)
         found, chosen = unit_rows(rows[positions]), None if flat is None else flat[positions]
-        targets = transport_targets(found, self.style[block].rows, self.diversity, chosen)
+        targets = transport_targets(found, style.rows.rows, self.diversity, chosen)
         distances = 1 - (found * targets).sum(1)
         return distances.mean() if chosen is None else (distances * chosen).sum() / chosen.sum()
 

@@ -33,10 +33,11 @@ from stylerf.training.stylize.geometry import Record
 from stylerf.training.stylize.scene import CONTENT, PIXELS_AT_ONCE, StyledScene
 from stylerf.training.stylize.settings import ArfSettings, DesrfSettings, ImageStyleSettings
 from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
+from stylerf.training.stylize.stroke_sizes import StrokesByDepth, stroke_sizes
 from stylerf.training.stylize.trainer import StyleMethod
 
 OBJECTIVES = {"nnfm": StyleObjective, "gram": GramObjective, "transport": TransportObjective}
-MIRRORS = 0.05  # fraction of the memory
+MIRRORS, STROKES = 0.05, 0.02  # fractions of the memory
 
 
 class ViewLoss:
@@ -60,6 +61,7 @@ class ViewLoss:
         self.device = extractor.input_scale.device
         s = scene.settings
         self._size = scene.cameras[0].height, scene.cameras[0].width
+        self._strokes = stroke_sizes(s.stroke, s.stroke_by_depth)
         self._check_style_image()
         # Two feature positions at least, also at half size: networks refuse smaller images.
         smallest = math.ceil(2 * (stride or extractor.stride) / s.feature_scale * (2 if s.coarse > 0 else 1))
@@ -77,6 +79,7 @@ class ViewLoss:
             lambda view: mirror_pixels(scene.fixed.alpha(view)), lambda made: made.nbytes, len(scene.cameras),
             MIRRORS * self.memory,
         )  # fmt: skip
+        self._places = StrokesByDepth(scene, STROKES * self.memory) if s.stroke_by_depth else None
 
     @property
     def objective(self) -> StyleObjective:
@@ -89,7 +92,7 @@ class ViewLoss:
             self._content = self._new_cache()  # at another scale
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
             self._objective = OBJECTIVES[s.loss](
-                self.extractor, style_image, self._size, *options, self.around, s.diversity, s.stroke, s.rotations,
+                self.extractor, style_image, self._size, *options, self.around, s.diversity, self._strokes, s.rotations,
                 s.keep_colors,
             )  # fmt: skip
         return self._objective
@@ -99,7 +102,7 @@ class ViewLoss:
         if style_image is None:
             return
         scale = s.feature_scale / 2 if s.coarse > 0 else s.feature_scale
-        height, width = scaled_style(style_image, self._size, scale, s.style_scale, s.stroke).shape[1:]
+        height, width = scaled_style(style_image, self._size, scale, s.style_scale, min(self._strokes)).shape[1:]
         least = 2 * self.extractor.stride
         if min(height, width) < least:
             raise InvalidValue(
@@ -134,7 +137,10 @@ class ViewLoss:
         objective, content = self.objective, self.moved(view, self.content(view))
         coverage, window = self.coverage(view), self.windows[view]
         objective.draw = self.scene.state.step
-        return lambda image: objective(self.without_background(view, image, coverage), content, coverage, window)
+        sizes = None if self._places is None else torch.from_numpy(self._places[view]).to(self.device)
+        return lambda image: objective(
+            self.without_background(view, image, coverage), content, coverage, window, sizes
+        )
 
     def without_background(self, view: int, image: Tensor, alpha: Tensor | None) -> Tensor:
         """The view's image [3, h, w], with the object mirrored beyond its silhouette instead of the background.

@@ -80,7 +80,7 @@ def painted_photo(
             objective = OBJECTIVES[settings.loss](
                 extractor, style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale, settings.style_rows,
                 settings.style_basis, settings.style_scale, seed, settings.variation, 0, settings.diversity,
-                settings.stroke, settings.rotations, settings.keep_colors,
+                (settings.stroke,), settings.rotations, settings.keep_colors,
             )  # fmt: skip
             content = objective.content_of(shown(start)) if settings.weights.need_photo else None
         objective.draw = at

@@ -59,8 +59,8 @@ class ImageStyleSettings(StyleSettings):
         loss: transport (see style/transport.py), nnfm (nearest neighbor feature matching) or gram (Gram matrices).
         feature_scale: Size of the image that features are taken from, relative to the view.
         coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
-        style_scale, style_rows, style_basis, variation, diversity, stroke, rotations: See
-            style/style_loss.StyleObjective.
+        style_scale, style_rows, style_basis, variation, diversity, rotations: See style/style_loss.StyleObjective.
+        stroke, stroke_by_depth: See stroke_sizes.py.
         keep_colors: Give the style image the photos' colors, instead of the photos the style image's.
     """
 
@@ -74,6 +74,7 @@ class ImageStyleSettings(StyleSettings):
     variation: str = "squared"
     diversity: float = 0.5
     stroke: float = 1.0
+    stroke_by_depth: bool = False
     rotations: bool = False
     keep_colors: bool = False
 

@@ -91,8 +91,8 @@ def test_a_turned_view_matches_as_well_as_the_view_with_rotations_only():
 
 
 def test_rows_per_step_do_not_grow_with_strokes_or_rotations():
-    for more in ({"stroke": 4.0}, {"stroke": 0.25}, {"rotations": True}):
+    for more in ({"strokes": (4.0,)}, {"strokes": (0.25,)}, {"rotations": True}):
         objective = TransportObjective(
             small_trunk("conv1_2"), picture(80, 80, 1), (80, 80), StyleWeights(), scale=1.0, most_rows=500, **more
         )
-        assert len(objective.style["conv1"].rows) == 500, more
+        assert len(objective.styles[0]["conv1"].rows.rows) == 500, more

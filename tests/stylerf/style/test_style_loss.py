@@ -439,9 +439,33 @@ def test_gram_matrices_are_part_of_the_style_distance_where_they_have_a_weight(k
     )
     features = made.features_of(image)
     weights = {block: position_weights(alpha, feature, made.around) for block, feature in features.items()}
-    apart = [gram_difference(feature, made.grams[block], weights[block]) for block, feature in features.items()]
+    grams = {block: known.gram for block, known in made.styles[0].items()}
+    apart = [gram_difference(feature, grams[block], weights[block]) for block, feature in features.items()]
     expected = float(plain(image, None, alpha)[0]) + 2 * 3 * float(sum(apart)) / 2
     assert len(apart) == 2 and float(made(image, None, alpha)[0]) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", [StyleObjective, GramObjective, TransportObjective])
+@pytest.mark.parametrize("whole", [True, False])
+def test_each_pixel_is_compared_with_strokes_of_its_own_size(kind, whole):
+    """The distance is that to each size over the pixels that have it, weighted by their share."""
+    image, painting = picture(HEIGHT, WIDTH, 2), picture(60, 80, 1)
+    weights = StyleWeights(1, 0, 0, 0, 0, 0.5)
+
+    def made(*strokes):
+        return kind(small_trunk("conv1_2"), painting, (HEIGHT, WIDTH), weights, 1.0, basis=0, strokes=strokes)
+
+    alpha = None if whole else object_alpha()
+    counted = torch.ones(HEIGHT, WIDTH) if alpha is None else alpha
+    sizes = torch.zeros(HEIGHT, WIDTH, dtype=torch.uint8)
+    sizes[:, 7:] = 2  # no pixel has size 1
+    expected = 0.0
+    for at, stroke in ((0, 2.0), (2, 0.5)):
+        here = counted * (sizes == at)
+        expected += float(here.sum() / counted.sum()) * float(made(stroke)(image, None, here)[0])
+    found = float(made(2.0, 1.0, 0.5)(image, None, alpha, sizes=sizes)[0])
+    assert found == pytest.approx(expected, rel=1e-5)
+    assert found != pytest.approx(float(made(2.0)(image, None, alpha)[0]), rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", [StyleObjective, GramObjective, TransportObjective])
