@@ -35,7 +35,7 @@ def painted_photo(
         mask: The object, [h, w] bool; the rest keeps its color. None for the whole photo.
         background: Gray level behind the object, 0..1.
         style_image: [3, h', w'] sRGB 0..1.
-        settings: Weights, loss, scales, color matching.
+        settings: Weights, loss, scales, color matching. Strokes have one size, settings.stroke.
         extractor: Of the features that the loss compares.
         steps: Of Adam, with a rate that falls linearly to 0; 60 and more show strokes.
         seed: Of the style features that are kept.
