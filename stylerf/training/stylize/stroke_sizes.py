@@ -1,6 +1,6 @@
 """Strokes that are as large as things look: small far away, large nearby (as in Geometry Transfer, Jung et al. 2024).
 
-Sizes come in four steps, each with features of its own of the style image, so that a step of training costs no more.
+Sizes come in four steps, each with its own features of the style image. Every position of a view is matched once.
 """
 
 import numpy as np
