@@ -188,6 +188,7 @@ def test_a_frame_is_left_out_in_one_line_unless_it_is_to_be_kept(tmp_path):
         ({"style": "x", "stroke": 5.0}, r"stroke must be in 0\.25\.\.4"),
         ({"style": "x", "method": "snerf", "rotations": True}, "--rotations has no effect with --image-by gram"),
         ({"method": "refnpr", "reference": ("0=x.png",), "stroke": 2.0}, "--stroke has no effect with --reference"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "stroke_by_depth": True}, "--stroke-by-depth has no effect"),
         ({"method": "refnpr", "reference": ("0=x.png",), "keep_frame": True}, "--reference gives none"),
     ],
 )
