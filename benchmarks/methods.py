@@ -1,15 +1,17 @@
 """Every method on the same scenes and paintings: `python -m benchmarks.methods OUT.json [REMARK]`.
 
-Protocol: `stylerf farm benchmarks/tables/methods.yaml` runs one table. Steps of a method are those that it takes in
-30 s on fern at 252x189 with one thread of the machine below, so every method has about the same time; fields, seeds and
-views are shared. Values are means over test views, then over seeds; rank: mean over scenes and paintings, 1 is best;
-relative: a value divided by the mean over methods. Style is judged by a network that no method matches. A farm that was
-interrupted continues where it was, so no job runs twice. `job_hours` sums the seconds of all artifacts.
+Protocol: `stylerf farm benchmarks/tables/methods.yaml` runs one table. Every method has a fixed number of steps;
+fields, seeds and views are shared. Values are means over test views, then over seeds; rank: mean over scenes and
+paintings, 1 is best; relative: a value divided by the mean over methods. Style is judged by a network that no method
+matches. A farm that was interrupted continues where it was, so no job runs twice. `job_hours` sums the seconds of all
+artifacts. `least_seconds` of a scene and a method: of the stage, on one thread beside another job, the least over
+paintings and seeds, since the steps are the same; `deform` is what `desrf` needs before.
 """
 
 import json
 import subprocess
 import sys
+from collections import defaultdict
 from pathlib import Path
 
 from benchmarks.conditions import here_and_now
@@ -19,14 +21,30 @@ TABLE, FOLDER = ROOT / "benchmarks" / "tables" / "methods.yaml", ROOT / "out" / 
 FROM_TABLE = ("cells", "standings", "fronts", "missing")
 
 
+def seconds_of(artifact: Path) -> float:
+    """What making an artifact took."""
+    return float(json.loads((artifact / "manifest.json").read_text())["seconds"])
+
+
 def condensed(folder: Path) -> dict:
     """What is kept of a table's folder: its figures, and the hours that its artifacts took in all."""
     content = json.loads((folder / "report" / "table.json").read_text())
     manifests = [json.loads(path.read_text()) for path in folder.glob("*/*/*/manifest.json")]
+    seconds = defaultdict(list)
+    for cell in content["cells"]:
+        scene, method = folder / cell["scene"] / "field", cell["method"]
+        for seed in cell["seeds"]:
+            seconds[cell["scene"], method].append(seconds_of(scene / f"{cell['style']}-{method}-s{seed}"))
+            if (scene / f"fit-deformed-s{seed}").is_dir():
+                seconds[cell["scene"], "deform"].append(seconds_of(scene / f"fit-deformed-s{seed}"))
+    least = [
+        {"scene": scene, "method": method, "seconds": round(min(all_), 1)} for (scene, method), all_ in seconds.items()
+    ]
     return {
         "conditions": {"seeds": len(content["seeds"])},
         "artifacts": len(manifests),
         "job_hours": round(sum(float(manifest["seconds"]) for manifest in manifests) / 3600, 2),
+        "least_seconds": least,
         **{name: content[name] for name in FROM_TABLE},
     }
 

@@ -376,6 +376,19 @@ def method_ranks() -> str:
     return "\n".join([*lines, "", f"Over {blocks} pairs of a scene and a painting{fewer}{hours}. {where(report)}"])
 
 
+def method_seconds() -> str:
+    """Markdown of the least seconds of every method and scene; empty if not run."""
+    if not (RESULTS / "methods.json").is_file():
+        return ""
+    rows = result("methods.json")["least_seconds"]
+    least = {(row["method"], row["scene"]): row["seconds"] for row in rows}
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    lines = [f"| method | {' | '.join(scenes)} |", "|---" * (1 + len(scenes)) + "|"]
+    for method in sorted({row["method"] for row in rows}):
+        lines.append(f"| {method} | {' | '.join(f'{least[method, scene]:.0f} s' for scene in scenes)} |")
+    return "\n".join(lines)
+
+
 def method_cells() -> str:
     """Markdown of every scene, painting and method; empty if not run."""
     if not (RESULTS / "methods.json").is_file():
@@ -527,7 +540,12 @@ BLOCKS = {
         "scenes": scenes_under_stress,
         "remedies": remedies,
     },
-    "docs/methods-compared.md": {"ranks": method_ranks, "cells": method_cells, "votes": votes},
+    "docs/methods-compared.md": {
+        "ranks": method_ranks,
+        "seconds": method_seconds,
+        "cells": method_cells,
+        "votes": votes,
+    },
     "docs/performance.md": {"profile": profile, "looks": looks},
 }
 # By picture name, which starts with the name of its result file.
