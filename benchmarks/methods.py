@@ -21,29 +21,25 @@ TABLE, FOLDER = ROOT / "benchmarks" / "tables" / "methods.yaml", ROOT / "out" / 
 FROM_TABLE = ("cells", "standings", "fronts", "missing")
 
 
-def seconds_of(artifact: Path) -> float:
-    """What making an artifact took."""
-    return float(json.loads((artifact / "manifest.json").read_text())["seconds"])
-
-
 def condensed(folder: Path) -> dict:
     """What is kept of a table's folder: its figures, and the hours that its artifacts took in all."""
     content = json.loads((folder / "report" / "table.json").read_text())
-    manifests = [json.loads(path.read_text()) for path in folder.glob("*/*/*/manifest.json")]
+    paths = folder.glob("*/*/*/manifest.json")
+    took = {path.parent: float(json.loads(path.read_text())["seconds"]) for path in paths}
     seconds = defaultdict(list)
     for cell in content["cells"]:
         scene, method = folder / cell["scene"] / "field", cell["method"]
         for seed in cell["seeds"]:
-            seconds[cell["scene"], method].append(seconds_of(scene / f"{cell['style']}-{method}-s{seed}"))
-            if (scene / f"fit-deformed-s{seed}").is_dir():
-                seconds[cell["scene"], "deform"].append(seconds_of(scene / f"fit-deformed-s{seed}"))
+            for name, artifact in ((method, f"{cell['style']}-{method}-s{seed}"), ("deform", f"fit-deformed-s{seed}")):
+                if scene / artifact in took:
+                    seconds[cell["scene"], name].append(took[scene / artifact])
     least = [
         {"scene": scene, "method": method, "seconds": round(min(all_), 1)} for (scene, method), all_ in seconds.items()
     ]
     return {
         "conditions": {"seeds": len(content["seeds"])},
-        "artifacts": len(manifests),
-        "job_hours": round(sum(float(manifest["seconds"]) for manifest in manifests) / 3600, 2),
+        "artifacts": len(took),
+        "job_hours": round(sum(took.values()) / 3600, 2),
         "least_seconds": least,
         **{name: content[name] for name in FROM_TABLE},
     }

@@ -55,7 +55,8 @@ DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
 DEFORMED_STRUCTURE = {True: 1.0, False: 0.5}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
-REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "coarse": 0.0}
+# A view follows its reference, not the photo's edges or the style image.
+REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
 LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"

@@ -75,6 +75,9 @@ def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
 def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, options, structure, gram, scale):
     found = settings_of(CONFIGS[method](style="x", **options), 800, True)
     assert (found.weights.structure, found.weights.gram, found.feature_scale) == (structure, gram, scale)
+    if method == "refnpr":  # a view follows its reference, not the photo's edges
+        of_view = found.reference_feature_weights
+        assert of_view.structure == 0 and of_view.gram == 0
 
 
 def test_shapes_of_captures_learn_faster_than_those_of_objects():
