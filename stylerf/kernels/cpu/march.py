@@ -4,6 +4,9 @@ Space is warped to the unit cube by one of three maps (stylerf/geometry/space_wa
 (0), contraction (1), frustum (2). A step advances the warped position by `step` in its fastest coordinate, so that one
 sample falls into each cell of the field anywhere along the ray. The occupancy grid stores, per cell, the Chebyshev
 distance to the nearest occupied cell, in cells (0: occupied); rays skip empty space by it.
+
+A ray is a line in the cube of a box or a frustum, and within the inner box of a contraction: there, steps are additions
+(line_at). Elsewhere in a contraction each step warps anew.
 """
 
 import math
@@ -21,8 +24,15 @@ EXPONENT_MIN, EXPONENT_MAX = np.float32(-15), np.float32(12)
 # Beyond so many times its width and height, and in front of half its near depth, a frustum is nothing but its outermost
 # cells, drawn out: rays begin and end there.
 FRUSTUM_MARGIN = np.float32(2.0)
-_ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
+_ONE, _ZERO, _HALF, _TWO, _QUARTER = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2), np.float32(0.25)
+LONGEST_LINE = np.float32(2.5)  # cube units: a frustum's depth from half its near plane on, and rounding
+_PARTS = np.float32(256)
 TINY = np.float32(1e-9)  # below any speed or slope that matters; keeps divisions finite
+
+
+@inline
+def clamped(x):
+    return min(max(_ZERO, x), _ONE)  # in this order NaN becomes 0, a valid index of a cell
 
 
 @inline
@@ -64,7 +74,7 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
         else:
             m = max(abs(ax), abs(ay), abs(az))
             # Contracted space spans -2..2, so that a unit of it is a quarter of the cube.
-            jacobian = numbers[6] * np.float32(0.25)
+            jacobian = numbers[6] * _QUARTER
             if m > _ONE:
                 # x' = x (2 - 1/m)/m with m the largest coordinate; dm/dt is that coordinate's own velocity.
                 i = _ONE / m
@@ -84,12 +94,12 @@ def warp_at(space, px, py, pz, dx, dy, dz, out):
                 ay *= s
                 az *= s
                 jacobian *= i * i  # d(2 - 1/m)/dm
-            out[0] = _HALF + np.float32(0.25) * ax
-            out[1] = _HALF + np.float32(0.25) * ay
-            out[2] = _HALF + np.float32(0.25) * az
-            speed = np.float32(0.25) * max(abs(vx), abs(vy), abs(vz))
+            out[0] = _HALF + _QUARTER * ax
+            out[1] = _HALF + _QUARTER * ay
+            out[2] = _HALF + _QUARTER * az
+            speed = _QUARTER * max(abs(vx), abs(vy), abs(vz))
     for a in range(3):
-        out[a] = min(max(_ZERO, out[a]), _ONE)  # in this order NaN becomes 0, a valid index of a cell
+        out[a] = clamped(out[a])
     return max(TINY, speed), jacobian
 
 
@@ -140,49 +150,72 @@ def ray_span(space, ox, oy, oz, dx, dy, dz, near):
 
 
 @inline
-def _exit_time(x, speed, distance, cells, shortest):
-    """Return the time until coordinate x leaves all cells within `distance` of its own, at most `shortest`."""
-    if speed == _ZERO:
-        return shortest
-    own = np.float32(min(int(x * np.float32(cells)), cells - 1))
-    edge = own + np.float32(distance) if speed > _ZERO else own - np.float32(distance) + _ONE
-    # Clamped below: rounding can put the edge behind x, and a ray must not turn back.
-    time = (edge / np.float32(cells) - x) / speed
-    return min(max(time, _ZERO), shortest)
+def line_at(space, ox, oy, oz, dx, dy, dz, t, end):
+    """The ray from distance t to end as a line in the cube; in a contraction, to where it leaves the inner box.
+
+    A frustum is a projection, which maps lines to lines. Its speed and its jacobian both fall with 1 / z^2, so that all
+    samples have the same optical length; distance grows with u / (speed - bend u).
+
+    Returns:
+        t; where the line begins (3) and its direction (3), of largest coordinate 1; speed there; bend; length (u at its
+        end); density jacobian there. u counts cube units along the fastest coordinate.
+    """
+    kind, numbers = space.kind, space.numbers
+    px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+    if kind == FRUSTUM:
+        i = _ONE / pz  # ray_span leaves pz half the near depth at least
+        jacobian, bend = numbers[2] * i * i, dz * i
+        x, y, z = _HALF + _HALF * px * i / numbers[0], _HALF + _HALF * py * i / numbers[1], _ONE - numbers[2] * i
+        vx, vy = _HALF * (dx - px * bend) * i / numbers[0], _HALF * (dy - py * bend) * i / numbers[1]
+        vz = jacobian * dz
+    else:
+        x, y, z = (px - numbers[0]) * numbers[3], (py - numbers[1]) * numbers[4], (pz - numbers[2]) * numbers[5]
+        vx, vy, vz = dx * numbers[3], dy * numbers[4], dz * numbers[5]
+        jacobian, bend = numbers[6], _ZERO
+        if kind == CONTRACTION:
+            for p, v in ((x, vx), (y, vy), (z, vz)):
+                end = min(end, t + (_ONE - p if v > _ZERO else _ONE + p) / max(TINY, abs(v)))
+            x, y, z = _HALF + _QUARTER * x, _HALF + _QUARTER * y, _HALF + _QUARTER * z
+            vx, vy, vz, jacobian = _QUARTER * vx, _QUARTER * vy, _QUARTER * vz, _QUARTER * jacobian
+    speed = max(TINY, abs(vx), abs(vy), abs(vz))
+    i = _ONE / speed
+    # Rounding may leave nothing of the divisor where a frustum's ray comes from very far.
+    length = min(speed / max(_ONE / max(end - t, TINY) + bend, TINY), LONGEST_LINE)
+    return t, x, y, z, vx * i, vy * i, vz * i, speed, bend, length, jacobian
 
 
 @inline
-def empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, ahead):
-    """Count the steps of dt to skip from q, whose nearest occupied cell is `distance` cells away.
+def place_on(line, along, out):
+    """out = the position `along` (u) a line, clamped to the cube."""
+    _, x, y, z, wx, wy, wz, _, _, _, _ = line
+    out[0], out[1], out[2] = clamped(x + along * wx), clamped(y + along * wy), clamped(z + along * wz)
 
-    In a box the warp is affine: the ray skips to the first step behind all cells known to be empty. In a frustum, rays
-    that look forward only slow down, so that the present speed is a safe bound. Rays that look back speed up with
-    1/z^2, and in a contraction rays speed up towards the middle, up to sixteenfold from m = 4: there the skip is halved
-    until it moves within reach. In a contraction, the image of a straight line strays from the segment between its ends
-    by a few hundredths of their distance at most, hence the margin of 0.95; in a frustum it is that segment.
+
+@inline
+def distance_on(line, along):
+    """Distance from the ray's origin of the position `along` (u) a line, scene units."""
+    t, _, _, _, _, _, _, speed, bend, _, _ = line
+    return t + along / (speed - bend * along)
+
+
+@inline
+def leap(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead):
+    """Take up to `steps` steps of dt from q, as many as move at most `reach` cube units, along a curved image.
+
+    Rays speed up towards a contraction's middle, up to sixteenfold from m = 4: the leap is halved until it stays within
+    reach, or is a single step. The image strays from the segment between two of its points by a few hundredths of their
+    distance at most, hence the margin of 0.95.
+
+    Returns:
+        Distance along the ray, speed and jacobian of the position that goes to `ahead`.
     """
-    numbers = space.numbers
-    if space.kind == BOX:
-        left = dt * _TWO / step  # time to cross twice the cube: no ray stays in it for longer
-        left = _exit_time(q[0], dx * numbers[3], distance, cells, left)
-        left = _exit_time(q[1], dy * numbers[4], distance, cells, left)
-        left = _exit_time(q[2], dz * numbers[5], distance, cells, left)
-        # A whole number of steps: samples fall where they would without skipping.
-        return np.int64(left / dt) + 1
-    if distance <= 1:
-        return np.int64(1)
-    # Wherever in its cell q lies, distance - 1 whole cells separate it from the nearest occupied one.
-    reach = (np.float32(distance) - _ONE) / np.float32(cells)
-    steps = max(np.int64(1), np.int64(reach / step))
-    if space.kind == CONTRACTION or dz < _ZERO:
-        reach *= np.float32(0.95)
-        while steps > 1:
-            s = t + dt * np.float32(steps)
-            warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
-            if max(abs(ahead[0] - q[0]), abs(ahead[1] - q[1]), abs(ahead[2] - q[2])) <= reach:
-                break
-            steps >>= 1
-    return steps
+    while True:
+        s = t + dt * np.float32(steps)
+        speed, jacobian = warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
+        moved = max(abs(ahead[0] - q[0]), abs(ahead[1] - q[1]), abs(ahead[2] - q[2]))
+        if steps <= 1 or moved <= np.float32(0.95) * reach:
+            return s, speed, jacobian
+        steps >>= 1
 
 
 @inline
@@ -258,6 +291,8 @@ def march_partition(
     q = np.empty(3, np.float32)
     ahead = np.empty(3, np.float32)
     moved = np.empty(3, np.float32)
+    # In 1/256: a product of integers, since the next cell to look at waits for it.
+    steps_per_cell = np.int64(_PARTS / (np.float32(cells) * step))
     # A fixed partition instead of prange's schedule: sums must not depend on timing (decision 0007).
     begin = thread * n // threads
     at = begin * samples_per_ray
@@ -268,44 +303,72 @@ def march_partition(
         t, end = ray_span(space, ox, oy, oz, dx, dy, dz, rays.near[r])
         transmittance = _ONE
         last = at + samples_per_ray
-        if t < end:
+        line = line_at(space, ox, oy, oz, dx, dy, dz, t, end)
+        along, length = _ZERO, line[-2]
+        speed, jacobian = line[-4], line[-1]
+        on_line = space.kind != CONTRACTION
+        marching = t < end
+        if marching and on_line:
+            along = rays.jitter[r] * step
+            place_on(line, along, q)
+            marching = along < length
+        elif marching:
             speed, _ = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
             # Jitter is a part of a step in the cube; the speed there turns it into a distance.
             t += rays.jitter[r] * step / speed
             speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-        while t < end and transmittance >= min_transmittance and at < last:
-            dt = step / speed
+            marching = t < end
+        while marching and transmittance >= min_transmittance and at < last:
             distance = cell_distance(distances, cells, q)
-            if distance > 0:
-                skipped = empty_steps(space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, q, moved)
-                s = t + dt * np.float32(skipped)
-                if not s > t:  # so far out that float32 rounds the step away: without this the loop never ends
-                    break
-                t = s
-                speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
-                continue
-            # The next position does not depend on this sample's density: warp it first, so that its rows can be
+            # Wherever in its cell q lies, distance - 1 whole cells separate it from the nearest occupied one.
+            steps = max(np.int64(1), (np.int64(distance) - 1) * steps_per_cell >> 8)
+            # The next position does not depend on this sample's density: find it first, so that its rows can be
             # prefetched while this density is computed.
-            s = t + dt
-            next_speed, next_jacobian = warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, ahead)
-            t_out[at] = t
-            if displacement.vertices > 0:
-                displace(displacement.grid, displacement.vertices, q, moved)
-                q[0], q[1], q[2] = moved[0], moved[1], moved[2]
+            dt = step / speed
+            here, next_along, next_speed, next_jacobian = t, along, speed, jacobian
+            if on_line:
+                if distance == 0:
+                    here = distance_on(line, along)
+                next_along = along + np.float32(steps) * step
+                place_on(line, next_along, ahead)
             else:
-                # Only without a displacement, which would read other rows than those around `ahead`.
-                prefetch(density, shape, ahead)
-            raw = raw_density(density, shape, q)
-            delta = dt * jacobian * OPTICAL_SCALE
-            transmitted = np.float32(math.exp(-raw * delta))
-            deltas[at] = delta
-            x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
-            sigma[at] = raw
-            weights[at] = transmittance * (_ONE - transmitted)
-            transmittance *= transmitted
-            at += 1
-            t, speed, jacobian = s, next_speed, next_jacobian
+                reach = (np.float32(distance) - _ONE) / np.float32(cells)
+                t, next_speed, next_jacobian = leap(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead)
+            if distance == 0:
+                t_out[at] = here
+                if displacement.vertices > 0:
+                    displace(displacement.grid, displacement.vertices, q, moved)
+                    q[0], q[1], q[2] = moved[0], moved[1], moved[2]
+                else:
+                    # Only without a displacement, which would read other rows than those around `ahead`.
+                    prefetch(density, shape, ahead)
+                raw = raw_density(density, shape, q)
+                delta = dt * jacobian * OPTICAL_SCALE
+                transmitted = np.float32(math.exp(-raw * delta))
+                deltas[at] = delta
+                x[at, 0], x[at, 1], x[at, 2] = q[0], q[1], q[2]
+                sigma[at] = raw
+                weights[at] = transmittance * (_ONE - transmitted)
+                transmittance *= transmitted
+                at += 1
             q[0], q[1], q[2] = ahead[0], ahead[1], ahead[2]
+            # A step that float32 rounds away would never end.
+            if on_line:
+                marching = next_along > along and next_along < length
+                along = next_along
+                if not marching and space.kind == CONTRACTION:
+                    on_line = False
+                    t = distance_on(line, along)
+                    marching = t < end
+                    speed, jacobian = warp_at(space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz, q)
+            else:
+                marching = t > here and t < end
+                speed, jacobian = next_speed, next_jacobian
+                if max(abs(q[0] - _HALF), abs(q[1] - _HALF), abs(q[2] - _HALF)) < _QUARTER:
+                    line = line_at(space, ox, oy, oz, dx, dy, dz, t, end)
+                    length = line[-2]
+                    if length > step:  # a shorter one would end before its first step
+                        on_line, along, speed, jacobian = True, _ZERO, line[-4], line[-1]
         if settings.opaque_background and transmittance >= min_transmittance and at < last:
             # The far end absorbs the remaining light (decision 0004). Its density is fixed: only its color learns.
             warp_at(space, ox + end * dx, oy + end * dy, oz + end * dz, dx, dy, dz, q)

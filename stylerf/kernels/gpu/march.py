@@ -14,6 +14,7 @@ from stylerf.kernels.gpu.tables import raw_density
 
 SCALE, SMALLEST = tl.constexpr(float(cpu_march.OPTICAL_SCALE)), tl.constexpr(float(cpu_march.TINY))
 FRUSTUM_MARGIN = tl.constexpr(float(cpu_march.FRUSTUM_MARGIN))
+BEYOND = tl.constexpr(1e30)  # of any ray's end; finite, since what is masked out is still multiplied by zero
 MOST_TURNS = tl.constexpr(1 << 16)  # a step too small for float32 to move the ray must not hang the GPU
 
 
@@ -104,21 +105,31 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
 
 
 @triton.jit
+def time_of(KIND: tl.constexpr, steps, step, speed, pz, dz):
+    """Change of the distance along a ray over so many steps; in a frustum, whose speed falls with 1/z^2, exactly.
+
+    BEYOND where the cube ends before.
+    """
+    time = steps * step / speed
+    if KIND == 2:
+        left = speed - steps * step * dz / pz
+        time = tl.where(left > 0.0, steps * step / tl.where(left > 0.0, left, 1.0), BEYOND)
+    return time
+
+
+@triton.jit
 def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
-    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's empty_steps.
+    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's march and leap.
 
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
     """
     far = mask & (distance > 1)
-    # In a box the CPU leaves the empty cells exactly; here that takes several skips.
     reach = (distance.to(tl.float32) - 1.0) / cells
     steps = tl.where(far, tl.maximum((reach / step).to(tl.int32), 1), 1)
-    if KIND != 0:
+    if KIND == 1:
         reach = reach * 0.95
         # Halved until what is moved in the cube is within reach; thirty-one halvings bring every int32 to one.
         pending = (steps > 1).to(tl.int32)
-        if KIND == 2:  # rays that look forward only slow down
-            pending = ((steps > 1) & (dz < 0.0)).to(tl.int32)
         while tl.max(pending, axis=0) > 0:
             s = t + dt * steps.to(tl.float32)
             ax, ay, az, _speed, _jacobian = warp_at(KIND, space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz)
@@ -215,7 +226,8 @@ def march_kernel(
         begin, most = _fitting(counts, last, capacity, r, valid)
     open_ray = t < end
     _x, _y, _z, speed, _j = warp_at(KIND, space, ox + t * dx, oy + t * dy, oz + t * dz, dx, dy, dz)
-    t = tl.where(open_ray, t + tl.load(jitter + r, mask=valid, other=0.0) * step / speed, t)
+    offset = tl.load(jitter + r, mask=valid, other=0.0)
+    t = tl.where(open_ray, t + time_of(KIND, offset, step, speed, oz + t * dz, dz), t)
     transmittance = 1.0 + 0.0 * t
     peak = 0.0 * t
     newest = 0.0 * t  # weight
@@ -243,7 +255,7 @@ def march_kernel(
             transmittance = tl.where(hit, transmittance * transmitted, transmittance)
             found = tl.where(hit, found + 1, found)
         # `taken` is 1 after a sample.
-        t = tl.where(active, t + dt * taken.to(tl.float32), t)
+        t = tl.where(active, t + time_of(KIND, taken.to(tl.float32), step, speed, oz + t * dz, dz), t)
         turns += 1
         lit = transmittance >= min_transmittance
         marching = ((t < end) & lit & (found < most) & (turns < MOST_TURNS)).to(tl.int32)

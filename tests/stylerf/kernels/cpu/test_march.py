@@ -107,7 +107,7 @@ def test_every_sample_equals_the_oracle_at_its_distance(kind, displaced):
     assert bool((through >= 1e-3 * (1 - 1e-4)).all())
 
 
-@pytest.mark.parametrize("kind", SPACES)
+@pytest.mark.parametrize("kind", ["box", "contraction"])
 def test_distances_equal_a_slow_walk_in_float64(kind):
     space, rays = SPACES[kind], rays_into(SPACES[kind], 20, 6)
     samples = march(even_fog(1e-4), space, rays, samples_per_ray=128, step=1 / 16)
@@ -128,6 +128,23 @@ def test_distances_equal_a_slow_walk_in_float64(kind):
         both = min(len(found), len(expected))
         assert both > 5 and abs(len(found) - len(expected)) <= 1
         np.testing.assert_allclose(found[:both], np.array(expected)[:both], rtol=2e-4 if kind != "box" else 1e-5)
+
+
+@pytest.mark.parametrize("kind", ["box", "frustum"])
+def test_samples_are_a_step_apart_in_the_cube_wherever_rays_are_lines_there(kind):
+    space, rays, step = SPACES[kind], rays_into(SPACES[kind], 40, 6), 1 / 40
+    samples = march(even_fog(1e-5), space, rays, step=step)
+    for r in range(40):
+        origin, way = float64(rays.origins[r]), float64(rays.directions[r])
+        begin, end = span(space, origin.numpy(), way.numpy())
+        t = torch.from_numpy(samples.t[samples.starts[r] : samples.ends[r]].astype(np.float64))
+        places = torch_reference.warp_open(space, origin + torch.cat([t.new_tensor([begin, end]), t])[:, None] * way)
+        along = (places[2:] - places[0]).abs().amax(1)
+        steps = torch.arange(len(t)) + float(rays.jitter[r])
+        np.testing.assert_allclose(along, step * steps, atol=3e-6)
+        # As many as fit before the end of the ray.
+        length = float((places[1] - places[0]).abs().max())
+        assert len(t) > 8 and len(t) == pytest.approx(length / step - float(rays.jitter[r]), abs=1.01)
 
 
 def span(space: SpaceWarp, origin: np.ndarray, way: np.ndarray) -> tuple[float, float]:
