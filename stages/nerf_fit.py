@@ -223,7 +223,7 @@ def _cpu_samples(seconds: float) -> int:
 
     Budgets in steps (0 seconds) get the most.
     """
-    return int(np.clip(500 * seconds, 30_000, 90_000)) if seconds else 90_000
+    return int(np.clip(1000 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
 def _levels_of(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, pixels: int) -> dict:

@@ -1,8 +1,8 @@
 """Ray marching through the occupied part of space, for a density of any kind.
 
 Space is warped to the unit cube by one of three maps (stylerf/geometry/space_warp.py has the formulas, in float64): box
-(0), contraction (1), frustum (2). A step advances the warped position by `step` in its fastest coordinate, so that one
-sample falls into each cell of the field anywhere along the ray. The occupancy grid stores, per cell, the Chebyshev
+(0), contraction (1), frustum (2). A step advances the warped position by `step` in its fastest coordinate, so that
+samples are as dense as the field's cells anywhere along the ray. The occupancy grid stores, per cell, the Chebyshev
 distance to the nearest occupied cell, in cells (0: occupied); rays skip empty space by it.
 
 A ray is a line in the cube of a box or a frustum, and within the inner box of a contraction: there, steps are additions

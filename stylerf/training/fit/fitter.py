@@ -94,7 +94,7 @@ class Fitter:
             space,
             *first_parts(settings.kinds, *self._capacities(level), generator),
             OccupancyGrid(level.cells, clear=self._clear_cells(level.cells)),
-            1.0 / level.resolution,
+            self.space.marching_step(level.resolution),
         )
         self.engine = engine(dataset, seed, threads, first, group)
         self.held_out_rays = HeldOutRays(dataset, held_out, space.kind != "box", settings.background, seed)
@@ -143,7 +143,7 @@ class Fitter:
             self.space,
             *grown_parts(old, *self._capacities(level, old.occupancy), generator),
             old.occupancy.resized(level.cells) if level.cells != old.occupancy.cells else old.occupancy,
-            1.0 / level.resolution,
+            self.space.marching_step(level.resolution),
         )
         grown.occupancy.clear = self._clear_cells(level.cells)
         grown.occupancy.decide(grown.step)
