@@ -219,7 +219,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
 
 
 def _cpu_samples(seconds: float) -> int:
-    """Samples per step: many small steps for a short time, large ones against noise for a long one (decision 0026).
+    """Samples per step: many small steps for a short time, large ones against noise for a long one (decision 0059).
 
     Budgets in steps (0 seconds) get the most.
     """

@@ -39,6 +39,13 @@ def test_colors_of_a_frustum_are_finer_across_than_in_depth_and_those_of_a_box_a
     np.testing.assert_array_equal(box.color_cells(64), box.cells_per_axis(64))
 
 
+def test_a_frustum_is_marched_in_steps_of_one_and_a_half_cells_and_other_spaces_cell_by_cell():
+    box = SpaceWarp.box((0, 0, 0), (4, 1, 2))
+    contraction = SpaceWarp.box((-1, -1, -1), (1, 3, 1), kind="contraction")
+    frustum = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3)
+    assert [64 * space.marching_step(64) for space in (box, contraction, frustum)] == [1, 1, 1.5]
+
+
 @pytest.mark.parametrize(("parallax", "share"), [(0.01, 0.25), (9.0, 1.0)])
 def test_depths_are_a_quarter_of_the_width_at_least_and_no_more_than_it(parallax, share):
     wide, _, deep = SpaceWarp.frustum(1.0, 0.5, 1.0, 1e3, parallax=parallax).cells_per_axis(96)

@@ -169,6 +169,14 @@ def test_a_wall_of_one_color_stays_at_the_smallest_capacity(steps):
     assert fitter.state.rollbacks == 0 and fitter.state.curve[-1]["psnr"] > ROUNDING_PSNR
 
 
+def test_steps_follow_the_cells_of_the_space_at_every_capacity():
+    capture, thing = Fitter(*wall_bank(), 2, settings(10), 1, 1), box_fitter(10)
+    for level in LEVELS[:2]:
+        for fitter, cells in ((capture, 1.5), (thing, 1.0)):
+            fitter.resize(level)
+            assert fitter.field.step == pytest.approx(cells / level.resolution)
+
+
 # -- giving up ------------------------------------------------------------------------------------------------------
 
 
