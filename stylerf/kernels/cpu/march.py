@@ -6,7 +6,7 @@ samples are as dense as the field's cells anywhere along the ray. The occupancy 
 distance to the nearest occupied cell, in cells (0: occupied); rays skip empty space by it.
 
 A ray is a line in the cube of a box or a frustum, and within the inner box of a contraction: there, steps are additions
-(line_at). Elsewhere in a contraction each step warps anew.
+(line_at). Elsewhere in a contraction every step evaluates the warp.
 """
 
 import math
@@ -199,10 +199,10 @@ def distance_on(line, along):
 
 
 @inline
-def leap(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead):
+def skip_curved(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead):
     """Take up to `steps` steps of dt from q, as many as move at most `reach` cube units, along a curved image.
 
-    Rays speed up towards a contraction's middle, up to sixteenfold from m = 4: the leap is halved until it stays within
+    Rays speed up towards a contraction's middle, up to sixteenfold from m = 4: the skip is halved until it stays within
     reach, or is a single step. The image strays from the segment between two of its points by a few hundredths of their
     distance at most, hence the margin of 0.95.
 
@@ -333,7 +333,7 @@ def march_partition(
                 place_on(line, next_along, ahead)
             else:
                 reach = (np.float32(distance) - _ONE) / np.float32(cells)
-                t, next_speed, next_jacobian = leap(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead)
+                t, next_speed, next_jacobian = skip_curved(space, ox, oy, oz, dx, dy, dz, t, dt, steps, reach, q, ahead)
             if distance == 0:
                 t_out[at] = here
                 if displacement.vertices > 0:

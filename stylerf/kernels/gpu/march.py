@@ -119,7 +119,7 @@ def time_of(KIND: tl.constexpr, steps, step, speed, pz, dz):
 
 @triton.jit
 def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
-    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's march and leap.
+    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's march_partition.
 
     Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
     """
