@@ -49,7 +49,7 @@ GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for l
 FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
 FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of five levels
 # In a contraction, steps after which levels end at the latest (FitSettings).
-LEVEL_MAX_STEPS = (350, 850, 1350, 1900, 2600)
+LEVEL_MAX_STEPS = (350, 850, 1350, 1900)
 ESTIMATED_AFTER_CHECKS = 2  # the first one loads kernels
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 

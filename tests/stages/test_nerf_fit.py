@@ -37,9 +37,9 @@ def ends_in_time(requested) -> bool:
 
 def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
     requested = settings(SPACES["contraction"])
-    assert [level.resolution for level in requested.levels] == [64, 128, 192, 256, 384]
-    assert requested.levels[-1].color.resolution == requested.levels[-2].color.resolution == 256
-    assert [level.density_rank for level in requested.levels] == [8, 16, 16, 16, 8]
+    assert [level.resolution for level in requested.levels] == [64, 128, 192, 384]
+    assert requested.levels[-1].color.resolution == 256
+    assert [level.density_rank for level in requested.levels] == [8, 16, 16, 8]
     assert len(requested.level_ends) == len(requested.level_max_steps) == len(requested.levels) and ends_in_time(
         requested
     )

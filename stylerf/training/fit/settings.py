@@ -92,8 +92,8 @@ def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ..
         # The network behind the color has one width, so that the first level needs all ranks.
         return (replace(LEVELS[0], color_rank=FULL.color_rank), *LEVELS[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
-        # All ranks until the last: 256^3 with half of them seems to gain nothing, although 384^3 then would.
-        return (*LEVELS[:3], replace(FULL, density_rank=16), BEYOND)
+        # 256^3 seems to gain nothing, although 384^3 then would (decision 0060).
+        return (*LEVELS[:3], BEYOND)
     if kinds.color == "vm" and space == "frustum" and pixels >= 3 * FULL.resolution:
         return (*LEVELS[:3], FULL, SHARP)
     if kinds == Kinds() and space == "box" and pixels >= 2 * FULL.resolution:
