@@ -320,7 +320,7 @@ def march_partition(
             marching = t < end
         while marching and transmittance >= min_transmittance and at < last:
             distance = cell_distance(distances, cells, q)
-            # Wherever in its cell q lies, distance - 1 whole cells separate it from the nearest occupied one.
+            # At least distance - 1 whole cells separate q from the nearest occupied one.
             steps = max(np.int64(1), (np.int64(distance) - 1) * steps_per_cell >> 8)
             # The next position does not depend on this sample's density: find it first, so that its rows can be
             # prefetched while this density is computed.
