@@ -5,11 +5,10 @@ render; all if none is named. Writes no figure where there is no GPU: it stops.
 
 Protocol: fits, stylizations and edits are the stylerf commands below with --device cuda, one process each; seconds are
 the manifests' (training alone where it says so). Lego is refitted for each budget; its time to a quality is the
-smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fit,
-kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead, on an empty cache,
-inputs random. `bound`
-counts each input once and each output once; what a kernel gathers again from the cache is not counted, so its share of
-the bandwidth is a lower bound. One seed.
+smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fits
+of lego and fern, kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead,
+on an empty cache, inputs random. `bound` counts each input once and each output once; what a kernel gathers again from
+the cache is not counted, so its share of the bandwidth is a lower bound. One seed.
 """
 
 import json
@@ -273,15 +272,15 @@ def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dic
     }  # fmt: skip
 
 
-def frames_of(work: Path, device: torch.device) -> dict:
-    """frames() of the longest lego fit, at the test views."""
+def frames_of(work: Path, name: str, device: torch.device) -> dict:
+    """frames() of a fit, at the test views."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
 
     store = WorkFolder(work)
     scene = load_scene(store.get("scene", "main"))
-    field, _ = load_field(store.get("field", f"fit-{BUDGETS[-1]}"))
+    field, _ = load_field(store.get("field", name))
     return frames(field, [scene.cameras[i] for i in scene.splits["test"][:16]], device)
 
 
@@ -306,7 +305,10 @@ def measure(part: str, data: Path, kept: Path, report: dict, device: torch.devic
     elif part == "edit":
         report[part] = edited(lego)
     else:
-        report[part] = frames_of(lego, device)
+        report[part] = {
+            "lego": frames_of(lego, f"fit-{BUDGETS[-1]}", device),
+            "fern": frames_of(fern, f"fit-{BUDGETS[2]}", device),
+        }
 
 
 def machine_of(device: torch.device) -> dict:

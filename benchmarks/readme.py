@@ -68,7 +68,7 @@ def fits() -> str:
 
 
 def on_gpu() -> str:
-    """Markdown of what was measured on a GPU: fits and a stylization."""
+    """Markdown of what was measured on a GPU: fits, a stylization, rendering."""
     report = result("gpu.json")
     lines = [
         "| run | training | whole stage | steps | held-out PSNR | SSIM | GPU memory |",
@@ -77,11 +77,18 @@ def on_gpu() -> str:
     fits = [("lego 800x800", row) for row in report["lego"]["rows"]] + [("fern 1008x756", report["fern"])]
     for name, row in [*fits, ("arf on that fern", report["arf"])]:
         quality = f"{row['psnr']:.2f} dB | {row['ssim']:.3f}" if "psnr" in row else "– | –"
+        memory = f"{row['gpu_memory_mb'] / 1000:.1f} GB" if row["gpu_memory_mb"] else "–"
         lines.append(
             f"| {name} | {row['train_seconds']:.0f} s | {row['wall_seconds']:.0f} s | {row['steps']} | {quality} "
-            f"| {row['gpu_memory_mb'] / 1000:.1f} GB |"
+            f"| {memory} |"
         )
-    return "\n".join([*lines, "", where(report)])
+    frames = [
+        f"{scene.capitalize()} {made['width']}x{made['height']} renders at {made['frames_per_s']:.0f} views a second "
+        f"({made['mrays_per_s']:.0f} million rays)"
+        for scene, made in report["render"].items()
+    ]
+    rendering = f"{'. '.join(frames)}. The times of each kernel are in `benchmarks/results/gpu.json`."
+    return "\n".join([*lines, "", rendering, "", where(report)])
 
 
 def splats() -> str:
