@@ -12,6 +12,7 @@ from stages.artifacts.photos import bank_of
 from stages.artifacts.scene import EXPOSURE_STOPS, SceneData, load_scene, space_of, spread
 from stages.configs.fit import (
     DISTORTION,
+    ENOUGH_PHOTOS,
     FIELD,
     MIN_CELL_WEIGHT,
     NEAR_SCALING,
@@ -189,7 +190,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
     else:
         background = "white" if config.background == "auto" else config.background
     kinds = Kinds(*kinds_of(FIELD[scene.layout] if config.field == "auto" else config.field), config.head)
-    smoothness = SMOOTHNESS[scene.layout] if config.smoothness < 0 else config.smoothness
+    smoothness = _smoothness(config, scene)
     near = config.near_scaling_distance
     return FitSettings(
         seconds=seconds or 1.0,
@@ -216,6 +217,14 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
     )
+
+
+def _smoothness(config: FitConfig, scene: SceneData) -> float:
+    """Weight of the total variation: few photos of one side say little about what lies between them."""
+    if config.smoothness >= 0:
+        return config.smoothness
+    few = ENOUGH_PHOTOS / len(scene.splits["train"]) if scene.layout == "forward" else 1.0
+    return SMOOTHNESS[scene.layout] * max(1.0, few)
 
 
 def _cpu_samples(seconds: float) -> int:

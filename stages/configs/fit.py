@@ -13,6 +13,8 @@ DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
 MIN_CELL_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
 # By layout, whenever density is trained (docs/decisions/0011).
 SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
+# Of a forward-facing capture; one of fewer is smoothed more, in proportion (docs/decisions/0062).
+ENOUGH_PHOTOS = 50
 NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus
 
 
@@ -62,7 +64,9 @@ class FitConfig:
     )
     degree: int = advanced(1, "representation", choices=(0, 1, 2), help="degree of the color's spherical harmonics")
     smoothness: float = advanced(
-        -1.0, "regularization", help="weight of the planes' total variation (-1: by the scene's layout)"
+        -1.0,
+        "regularization",
+        help="weight of the planes' total variation (-1: by the scene's layout and number of photos)",
     )
     near_scaling_distance: float = advanced(
         -1.0,

@@ -21,7 +21,12 @@ from tests.stages.importing import Said
 from tests.stages.stress_fixture import make_capture
 from tests.stylerf.small import SPACES
 
-SCENE = SimpleNamespace(background="none", layout="unbounded", cameras=[SimpleNamespace(width=400, height=300)])
+SCENE = SimpleNamespace(
+    background="none",
+    layout="unbounded",
+    cameras=[SimpleNamespace(width=400, height=300)],
+    splits={"train": [*range(20)]},
+)
 
 
 def settings(space: SpaceWarp, **options):
@@ -70,6 +75,18 @@ def test_captures_lose_haze_and_forward_facing_ones_get_local_density(layout, ki
     assert ("degree" in requested.prunings) != clears and "resolution" in requested.prunings
     given = fit_settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
     assert (given.kinds.density, given.least_weight, given.distortion) == ("voxel", 0.0, 0.3)
+
+
+def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():
+    def smoothness(layout: str, photos: int, **options) -> float:
+        scene = SimpleNamespace(**vars(SCENE) | {"layout": layout, "splits": {"train": [*range(photos)]}})
+        density, color = fit_settings(FitConfig(**options), scene, SPACES["frustum"]).smoothness
+        assert density == color
+        return density
+
+    assert [smoothness("forward", photos) for photos in (10, 25, 50, 200)] == pytest.approx([5e-3, 2e-3, 1e-3, 1e-3])
+    assert smoothness("unbounded", 10) == 1e-3 and smoothness("object", 10) == 1e-4
+    assert smoothness("forward", 10, smoothness=0.0) == 0 and smoothness("forward", 10, smoothness=0.02) == 0.02
 
 
 @pytest.mark.parametrize(("space", "level_max_steps"), [("contraction", True), ("box", False)])

@@ -5,11 +5,19 @@ import triton.language as tl
 
 from stylerf.kernels.gpu.indexing import offset, store_vector
 
+GOLDEN = tl.constexpr(0x9E3779B9)  # 2^32 over the golden ratio
+
 
 @triton.jit
 def _below(bits, bound):
     """An integer 0 <= n < bound (int64, under 2^31) from 32 random bits; biased by less than bound / 2^32."""
     return (bits.to(tl.uint32).to(tl.int64) * bound) >> 32
+
+
+@triton.jit
+def _evenly(start, number):
+    """32 bits of draw `number`, spread evenly over a batch as by training/common/even_draws.py."""
+    return start.to(tl.int64) + number.to(tl.int64) * GOLDEN
 
 
 @triton.jit
@@ -101,11 +109,12 @@ def draw_kernel(
     mask = local < rays
     number = local + first
     # Two counters a ray, of four words each; numbered within the batch, not within this part of it.
-    a, b, c, _d = tl.randint4x(seed, number * 2)
+    _a, _b, c, _d = tl.randint4x(seed, number * 2)
     r0, r1, r2, _r3 = tl.randint4x(seed, number * 2 + 1)
-    index = _below(a, total + 0 * local.to(tl.int64))
+    start, lit_start, _s2, _s3 = tl.randint4x(seed, number * 0 - 1)  # one counter for all rays, which no ray has
+    index = _below(_evenly(start, number), total + 0 * local.to(tl.int64))
     among_lit = mask & (number < lit_rays)
-    lit_place = _below(b, lit_total + 0 * local.to(tl.int64))
+    lit_place = _below(_evenly(lit_start, number), lit_total + 0 * local.to(tl.int64))
     index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0).to(tl.int64), index)
     view = view_of(index, view_ends, views, STEPS)
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(

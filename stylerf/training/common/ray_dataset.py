@@ -11,6 +11,7 @@ from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.photos import Photos, gather
 from stylerf.srgb import codes_at
+from stylerf.training.common.even_draws import drawn_evenly
 
 STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux maps 16 pages around it)
 
@@ -166,7 +167,7 @@ class RayDataset:
         lit_share: float = 0.9,
         part: slice = slice(None),
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Draw `count` random rays of the first `among` views, and compute those of `part`.
+        """Draw `count` rays of the first `among` views, evenly (decision 0061), and compute those of `part`.
 
         Returns:
             origins, directions [n, 3], colors [n, 4], views [n].
@@ -187,12 +188,12 @@ class RayDataset:
             raise InvalidValue(f"rays of the first {among} of {len(self.cameras)} views cannot be drawn")
         total = len(self) if among is None else int(self._ends[among - 1])
         # Drawn whole and cut to `part` last: every process consumes the same random stream.
-        index = generator.integers(0, total, count)
+        index = drawn_evenly(count, total, generator)
         if self.lit is not None and lit_share > 0:
             most = self.lit.below(total)
             if most:
                 chosen = int(count * lit_share)
-                index[:chosen] = self.lit[generator.integers(0, most, chosen)]
+                index[:chosen] = self.lit[drawn_evenly(chosen, most, generator)]
         index = index[part]
         views = np.searchsorted(self._ends, index, side="right")
         return views, index - (self._ends[views] - self.sizes[views])

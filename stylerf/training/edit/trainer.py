@@ -31,6 +31,7 @@ from stylerf.editing.region_style import Canvas, RegionStyle
 from stylerf.errors import Diverged, InvalidValue
 from stylerf.style.color_matching import in_colors_of
 from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.edit.engine import CpuEditEngine
 
 if TYPE_CHECKING:
@@ -207,7 +208,7 @@ class EditTrainer:
         rows = np.arange(len(view))
         # Image losses need every pixel of the view; losses of pixels do with a sample.
         if style is None and len(view) > self.settings.pixels:
-            rows = generator.integers(0, len(view), self.settings.pixels)
+            rows = drawn_evenly(self.settings.pixels, len(view), generator)
         # LAENeRF's jitter: the ray ends anywhere within what it sees.
         jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
         phi, basis, target = self.engine.pixels(at, rows, jitter)

@@ -16,6 +16,7 @@ from stylerf.errors import Diverged
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.training.common.adam import SMOOTH_EVERY
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.finetune.engine import CpuFineTuneEngine, FineTuneBatch, FineTuneSettings
@@ -98,11 +99,11 @@ class FineTuner:
         # rays that one process would.
         s, generator = self.settings, np.random.default_rng([self.seed, 9, self.state.step])
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
-        chosen = generator.integers(0, max(1, len(self.edited.pixels)), inside)
+        chosen = drawn_evenly(inside, max(1, len(self.edited.pixels)), generator)
         views, pixels = self.edited.beside
         beside = s.rays - inside if self.local else min(round(s.rays * s.beside), s.rays - inside)
         beside = beside if len(pixels) else 0
-        around = generator.integers(0, max(1, len(pixels)), beside)
+        around = drawn_evenly(beside, max(1, len(pixels)), generator)
         own, others = self.group.own(s.rays), s.rays - inside - beside
         chosen, around = chosen[_overlap(own, 0, inside)], around[_overlap(own, inside, beside)]
         drawn = (

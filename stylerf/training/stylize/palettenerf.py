@@ -18,6 +18,7 @@ from stylerf.fields.palette_color import PaletteColor, Parts
 from stylerf.fields.protocol import ColorPart
 from stylerf.geometry.cameras import evenly_spaced
 from stylerf.geometry.spherical_harmonics import harmonics
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.stylize.scene import StyledScene, StyleProblem
 from stylerf.training.stylize.settings import REFIT, StyleSettings
 from stylerf.training.stylize.trainer import StyleMethod
@@ -131,7 +132,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         lit = np.flatnonzero(scene.fixed.alpha(view).ravel() > 1e-3)
         if len(lit) == 0:
             return {}
-        pixels = lit[generator.integers(0, len(lit), scene.settings.refit_pixels)]
+        pixels = lit[drawn_evenly(scene.settings.refit_pixels, len(lit), generator)]
         seen = _Seen(scene, self.color, view, pixels)
         losses = self._image_losses(seen, scene.photos[view].reshape(-1, 3)[pixels], with_palette)
         if with_palette:

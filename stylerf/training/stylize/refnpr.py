@@ -24,6 +24,7 @@ from stylerf.style.image_stylization import ImageLoss, ImageOptimization
 from stylerf.style.reference_features import ReferenceFeatures, ReferenceObjective, Wanted
 from stylerf.style.style_loss import VARIATIONS
 from stylerf.training.common.bounded_cache import BoundedCache
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.stylize.arf import ViewLoss, ViewStep
 from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, StyledScene, rendered_match
 from stylerf.training.stylize.settings import STYLE, RefNprSettings
@@ -291,7 +292,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
             view = others[int(generator.integers(len(others)))]
             pixels, colors = self._registered[view]
             if len(pixels):
-                chosen = generator.integers(0, len(pixels), scene.settings.refit_pixels)
+                chosen = drawn_evenly(scene.settings.refit_pixels, len(pixels), generator)
                 error = scene.learn_pixels(view, pixels[chosen], colors[chosen], weight)
         return {"reference": own, "registered": error}
 

@@ -36,6 +36,7 @@ from stylerf.style.color_matching import (
 from stylerf.style.transparency import shown_colors
 from stylerf.training.common.adam import Optimizer, moments_of, restore_moments
 from stylerf.training.common.bounded_cache import BoundedCache, PerView
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.deform.deformer import AnyDeformer, Deformer
 from stylerf.training.stylize.geometry import AnyRayGeometry, FixedGeometry, Geometry, MovingGeometry, Surfaces
 from stylerf.training.stylize.settings import (
@@ -387,7 +388,7 @@ class StyledScene(Generic[Settings_co]):
         lit = np.flatnonzero(self.coverage(view).ravel() > 1e-3)
         if len(lit) == 0:
             return None
-        pixels = lit[generator.integers(0, len(lit), self.settings.refit_pixels)]
+        pixels = lit[drawn_evenly(self.settings.refit_pixels, len(lit), generator)]
         return self.learn_pixels(view, pixels, image.reshape(-1, 3)[pixels], weight)
 
     def learn_pixels(self, view: int, pixels: np.ndarray, target: np.ndarray, weight: float = 1.0) -> float:

@@ -120,6 +120,8 @@ def test_drawn_rays_are_those_of_pixels_of_the_photos(device):
     lit = bank.lit[np.arange(bank.lit.below(len(bank)))]
     assert np.isin(pixel[:250], lit).all() and not np.isin(pixel[250:], lit).all()
     assert len(np.unique(pixel)) > 200 and {0, 1, 2} == set((pixel // 144).tolist())
+    for evenly, below in ((pixel[250:], 3 * 144), (np.searchsorted(lit, pixel[:250]), bank.lit.below(3 * 144))):
+        assert np.histogram(evenly, 8, (0, below))[0].std() < 2  # independent draws: 5
     jitter = drawn.rays.jitter.cpu()
     assert 0 <= float(jitter.min()) and float(jitter.max()) < 1 and abs(float(jitter.mean()) - 0.5) < 0.05
     assert bool((drawn.background == 1).all())
