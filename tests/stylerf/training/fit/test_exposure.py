@@ -128,7 +128,7 @@ def test_every_figure_that_is_compared_moves_with_the_photos():
     fitter.run()
     state, before = fitter.state, fitter.held_out_psnr()
     state.best, state.unpruned, state.trial = 30.0, 31.0, Trial("grow", 29.0, LEVELS[0], 1000)
-    fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(-1, 1, len(stops))
+    fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(0, 2, len(stops))
     after = fitter.balance(fitter.exposures, before)
     assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1
     assert np.array([state.best - 30, state.unpruned - 31, state.trial.before - 29]) == pytest.approx(after - before)

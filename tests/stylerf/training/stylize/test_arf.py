@@ -14,6 +14,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.style import style_loss
 from stylerf.style.style_loss import StyleObjective, StyleWeights
+from stylerf.training.common.even_draws import drawn_evenly
 from stylerf.training.stylize import arf as module
 from stylerf.training.stylize import geometry
 from stylerf.training.stylize.arf import Arf
@@ -177,7 +178,7 @@ def test_a_refit_step_teaches_the_mean_squared_error_of_its_pixels():
     view = int(generator.integers(3))
     alpha = made.scene.geometry.alpha(view).ravel()
     lit = np.flatnonzero(alpha > 1e-3)
-    pixels = lit[generator.integers(0, len(lit), 128)]
+    pixels = lit[drawn_evenly(128, len(lit), generator)]
     loss = made.scene.refit_step()["mse"]
     values = float64(made.scene.field.color.values).requires_grad_()
     rgb = oracle_picture(made, view, values, pixels) + (1 - float64(alpha[pixels])[:, None]) * GRAY
