@@ -34,6 +34,26 @@ def strategies_chart(report: dict) -> str:
     return drawn((7, 3.4), draw)
 
 
+OBJECTS = ("lego",)  # the scenes cut out by alpha; the others are captures
+
+
+def fits_chart(report: dict) -> str:
+    """PSNR and SSIM against seconds of training, log scale; objects dashed, captures solid."""
+
+    def draw(figure) -> None:
+        for axes, key, words in zip(figure.subplots(1, 2), ("psnr", "ssim"), ("PSNR of test views, dB", "SSIM")):
+            for scene in dict.fromkeys(row["scene"] for row in report["rows"]):
+                rows = [row for row in report["rows"] if row["scene"] == scene]
+                places = sorted((row["train_seconds"], row[key]) for row in rows)
+                style = "o--" if scene.partition(" ")[0] in OBJECTS else "o-"
+                axes.plot(*zip(*places), style, markersize=3, label=scene)
+            axes.set_xscale("log")
+            axes.set(xlabel="seconds of training", ylabel=words)
+        axes.legend(fontsize=7)
+
+    return drawn((8, 3.6), draw)
+
+
 def capacity_chart(report: dict) -> str:
     """PSNR against parameters, one panel per scene; fixed sizes joined, searched ones filled."""
     scenes = list(dict.fromkeys(row["scene"] for row in report["rows"]))

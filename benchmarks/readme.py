@@ -64,7 +64,8 @@ def fits() -> str:
             f"| {row['scene']} | {row['train_seconds']:.0f} s | {row['psnr']:.2f} dB | {row['ssim']:.3f} "
             f"| {row['parameters'] / 1e6:.2f} M | {row['resolution']}^3 | {row['peak_memory_mb'] / 1000:.1f} GB |"
         )
-    return "\n".join([*lines, "", where(report)])
+    chart = "![PSNR and SSIM against seconds of training; objects dashed, captures solid](images/fit.svg)"
+    return "\n".join([*lines, "", chart, "", where(report)])
 
 
 def on_gpu() -> str:
@@ -557,6 +558,7 @@ BLOCKS = {
 }
 # By picture name, which starts with the name of its result file.
 CHARTS = {
+    "fit": charts.fits_chart,
     "strategies": charts.strategies_chart,
     "capacity": charts.capacity_chart,
     "pareto": charts.pareto_chart,

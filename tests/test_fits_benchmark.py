@@ -1,11 +1,11 @@
-"""benchmarks/fits.py and edits.py: the load that a row tells is that of before its run, not of the run itself."""
+"""benchmarks/fits.py and edits.py: a row tells the load before its run; the chart shows objects and captures apart."""
 
 import json
 import os
 
 import pytest
 
-from benchmarks import edits, fits
+from benchmarks import charts, edits, fits
 
 
 @pytest.fixture
@@ -38,3 +38,15 @@ def test_load_is_that_of_before_the_run(ran, tmp_path):
     manifest(tmp_path / "lego-400x400" / "edit" / "lego-shovel-recolored-learned")
     row = edits.measure(tmp_path, tmp_path, "lego shovel, recolored", tmp_path)
     assert row["load_before"] == ran.index("edit") == 0
+
+
+def test_the_chart_draws_a_line_for_each_scene_in_order_of_time():
+    def drawn(*seconds: int) -> str:
+        scenes = ("lego 200x200", "fern 504x378")
+        rows = [{"scene": of, "train_seconds": s, "psnr": 20.0 + s, "ssim": 0.8} for of in scenes for s in seconds]
+        return charts.fits_chart({"rows": rows})
+
+    chart = drawn(60, 300)
+    assert chart.startswith("<?xml") and chart == drawn(300, 60)
+    # Dashed for the object, in each of the two panels and in the legend.
+    assert chart.count("stroke-dasharray") == 3 and "lego 200x200" in chart and "fern 504x378" in chart
