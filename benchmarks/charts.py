@@ -47,7 +47,10 @@ def fits_chart(report: dict) -> str:
                 places = sorted((row["train_seconds"], row[key]) for row in rows)
                 style = "o--" if scene.partition(" ")[0] in OBJECTS else "o-"
                 axes.plot(*zip(*places), style, markersize=3, label=scene)
+            ticks = sorted({round(row["train_seconds"]) for row in report["rows"]})
             axes.set_xscale("log")
+            axes.set_xticks(ticks, [str(tick) for tick in ticks])
+            axes.set_xticks([], minor=True)
             axes.set(xlabel="seconds of training", ylabel=words)
         axes.legend(fontsize=7)
 
