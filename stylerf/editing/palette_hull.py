@@ -90,13 +90,16 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
 def simplified(colors: np.ndarray, size: int) -> np.ndarray:
     """Return the corners [M, 3], 0..1, of the convex hull of colors [n, 3], with edges collapsed until `size` are left.
 
-    With size 0, until another collapse would exceed ERROR or 4 are left. Raises QhullError if colors have no volume.
+    With size 0, until another collapse would exceed ERROR or 4 are left. Where no edge can be collapsed, as in a box,
+    the corner that is missed least is left out. Raises QhullError if colors have no volume.
     """
     hull = ConvexHull(colors)
     corners = colors[hull.vertices]
     while len(corners) > max(size, FEWEST):
         fewer = collapsed(corners)
-        if fewer is None or (size == 0 and hull_error(np.clip(fewer, 0, 1), colors) > ERROR):
+        if fewer is None:
+            fewer = min((np.delete(corners, i, 0) for i in range(len(corners))), key=lambda c: hull_error(c, colors))
+        if size == 0 and hull_error(np.clip(fewer, 0, 1), colors) > ERROR:
             break
         corners = fewer
     return np.clip(corners, 0, 1)

@@ -1,7 +1,7 @@
 """A palette out of colors: histogram by hand, hulls that hold what they must, mixes that other means find too."""
 
 from collections import defaultdict
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -101,6 +101,15 @@ def test_a_tetrahedron_is_recovered_from_points_without_its_tips():
     assert len(found) == 4 and (Delaunay(found).find_simplex(cut * (1 - 1e-6) + 1e-6 * cut.mean(0)) >= 0).all()
     apart = np.linalg.norm(found[:, None] - CORNERS, axis=-1).min(1)
     assert apart.max() < 0.1
+
+
+def test_a_box_loses_the_corners_that_are_missed_least_since_no_edge_of_it_can_be_collapsed():
+    box = np.array(list(product([0.1, 0.9], repeat=3)))
+    assert collapsed(box) is None
+    # Most colors are mixes of five of the corners.
+    colors = np.concatenate([box, mixes(200, 8, box[[0, 1, 2, 4, 7]])])
+    np.testing.assert_array_equal(simplified(colors, 5), box[[0, 1, 2, 4, 7]])
+    assert len(simplified(colors, 4)) == 4 and extracted(colors, 6, np.random.default_rng(0)).palette.shape == (6, 3)
 
 
 def test_as_few_corners_as_the_error_asks_for():
