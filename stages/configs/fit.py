@@ -44,7 +44,7 @@ class FitConfig:
         help="background to train transparent pixels over (auto: white)",
     )
     samples: int = option(
-        0, help="density samples per step (0: on the CPU 500 per second of the budget, 30000 to 90000; on a GPU 262144)"
+        0, help="density samples per step (0: CPU, 1000 per second of the budget, 30000 to 90000; GPU, 262144)"
     )
     rate: float = option(0.0, help="learning rate (0: by the scene's layout)")
     exposure: str = option(
