@@ -1,4 +1,4 @@
-"""benchmarks/fits.py and edits.py: a row tells the load before its run; the chart shows objects and captures apart."""
+"""benchmarks/fits.py and edits.py: a row records the load before its run; the chart marks objects and captures."""
 
 import json
 import os

@@ -122,7 +122,7 @@ def write_colmap(
         photo: name of a camera's photo.
         text: write text files instead of binary ones.
     """
-    import pycolmap
+    from stylerf.environment.colmap import pycolmap
 
     model = pycolmap.Reconstruction()
     lenses: dict[tuple, int] = {}

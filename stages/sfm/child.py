@@ -40,9 +40,8 @@ def main(path: str) -> int:
 
 def run(job: Job, progress: JobProgress) -> None:
     """Run the steps that no interrupted run has finished; write model/ and result.json to the job's folder."""
-    import pycolmap
-
     from stages.sfm import colmap_database, mapping, matching, photo_copies, quality, silhouettes
+    from stylerf.environment.colmap import pycolmap
 
     progress.started()
     set_allowance(lambda: job.allowance)

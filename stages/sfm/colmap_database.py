@@ -13,12 +13,12 @@ from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from schemas.atomic_write import write_bytes
 from schemas.errors import BadInput
 from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES, MASKS, Copy
+from stylerf.environment.colmap import pycolmap
 
 # Above this many photos `auto` takes neighbors only, if the names count frames: all pairs grow with the square.
 MOST_FOR_ALL_PAIRS = 80

@@ -7,11 +7,10 @@ reported all of them registered at half a pixel.
 import shutil
 from pathlib import Path
 
-import pycolmap
-
 from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES
 from stages.sfm.quality import REFUSED_SHARE
+from stylerf.environment.colmap import pycolmap
 
 MODELS = "models"
 # Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;

@@ -21,12 +21,11 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
-import pycolmap
-
 from schemas.atomic_write import write_bytes
 from stages.sfm.colmap_database import INPUTS, pairs_of, rows_of
 from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import Copy
+from stylerf.environment.colmap import pycolmap
 
 Pairs = list[tuple[str, str]]
 

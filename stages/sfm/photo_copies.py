@@ -17,7 +17,6 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from schemas.atomic_write import replacing, write_json
 from schemas.canonical_json import file_sha256
@@ -27,6 +26,7 @@ from schemas.journal import Journal
 from stages.readers.photos import DARKEST_WHITE, masked
 from stages.run.parallel import in_order
 from stages.sfm.job import Job, JobProgress, journal_of
+from stylerf.environment.colmap import pycolmap
 from stylerf.geometry.resampling import shrunk
 
 COPIES, MASKS = "copies", "masks"

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pycolmap
 from scipy.spatial import cKDTree
 
 from stages.sfm.silhouettes import OUTSIDE
+from stylerf.environment.colmap import pycolmap
 from stylerf.geometry.camera_conventions import from_colmap
 from stylerf.geometry.cameras import epipolar_distance, essential, largest_parallax
 
