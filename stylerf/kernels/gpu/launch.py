@@ -206,14 +206,20 @@ def adam(state: GpuAdamState, rates: AdamRates, begin: int, end: int) -> None:
     )  # fmt: skip
 
 
+def _golden(draws: int) -> int:
+    """By how much a sequence of even draws has advanced after some, modulo 2^32, as a signed integer."""
+    return (draws * int(pixel_rays.GOLDEN.value) + 2**31) % 2**32 - 2**31
+
+
 def draw_rays(photos: GpuPhotos, draw: RayDraw, count: int) -> tuple[GpuRays, Tensor, Tensor]:
     """Return `count` random rays, their straight rgba [n, 4] and background [n, 3]; see pixel_rays.draw_kernel."""
     p, device, views = photos, photos.bytes.device, len(photos.widths)
     origins, directions, background = (torch.empty((count, 3), device=device) for _ in range(3))
     wanted, jitter = torch.empty((count, 4), device=device), torch.empty(count, device=device)
     over(
-        pixel_rays.draw_kernel, count, POINTS, draw.seed, draw.first, count, draw.total, p.lit, draw.lit_total,
-        draw.lit_rays, p.view_ends, p.view_sizes, views, p.widths, p.intrinsics, p.poses, p.bytes, p.codes,
+        pixel_rays.draw_kernel, count, POINTS, draw.seed, draw.sequence, _golden(draw.earlier),
+        _golden(draw.lit_earlier), draw.first, count, draw.total, p.lit, draw.lit_total, draw.lit_rays, p.view_ends,
+        p.view_sizes, views, p.widths, p.intrinsics, p.poses, p.bytes, p.codes,
         float(draw.level or 0), origins, directions, wanted, jitter, background,
         CHANNELS=p.channels, RANDOM_BACKGROUND=draw.level is None, STEPS=max(1, (views - 1).bit_length()),
     )  # fmt: skip

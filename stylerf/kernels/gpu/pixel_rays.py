@@ -15,9 +15,9 @@ def _below(bits, bound):
 
 
 @triton.jit
-def _evenly(start, number):
-    """32 bits of draw `number`, spread evenly over a batch as by training/common/even_draws.py."""
-    return start.to(tl.int64) + number.to(tl.int64) * GOLDEN
+def _evenly(start, shift, number):
+    """32 bits of draw `number`, spread evenly as by training/common/even_draws.py; shift: of the draws before."""
+    return start.to(tl.int64) + shift + number.to(tl.int64) * GOLDEN
 
 
 @triton.jit
@@ -94,14 +94,18 @@ def rays_kernel(
     _store_ray(origins, directions, wanted, k, ox, oy, oz, dx, dy, dz, red, green, blue, alpha, mask)
 
 
-@triton.jit(do_not_specialize=["seed", "first", "rays", "total", "lit_total", "lit_rays", "views"])
+NOT_SPECIALIZED = ["seed", "sequence", "shift", "lit_shift", "first", "rays", "total", "lit_total", "lit_rays", "views"]
+
+
+@triton.jit(do_not_specialize=NOT_SPECIALIZED)
 def draw_kernel(
-    seed, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_,
-    codes, level, origins, directions, wanted, jitter, background,
+    seed, sequence, shift, lit_shift, first, rays, total, lit, lit_total, lit_rays, view_ends, view_sizes, views,
+    widths, intrinsics, poses, bytes_, codes, level, origins, directions, wanted, jitter, background,
     CHANNELS: tl.constexpr, RANDOM_BACKGROUND: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays `first` .. `first` + rays of the batch of `seed`, which does not depend on how it is split into parts.
+    """Rays `first` .. `first` + rays of a batch, which does not depend on how it is split into parts.
 
+    Pixels continue the draws of `sequence` after those that the shifts stand for; jitter and background are of `seed`.
     Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: gray
     of the background where it is not random.
     """
@@ -111,10 +115,10 @@ def draw_kernel(
     # Two counters a ray, of four words each; numbered within the batch, not within this part of it.
     _a, _b, c, _d = tl.randint4x(seed, number * 2)
     r0, r1, r2, _r3 = tl.randint4x(seed, number * 2 + 1)
-    start, lit_start, _s2, _s3 = tl.randint4x(seed, number * 0 - 1)  # one counter for all rays, which no ray has
-    index = _below(_evenly(start, number), total + 0 * local.to(tl.int64))
+    start, lit_start, _s2, _s3 = tl.randint4x(sequence, number * 0 - 1)  # one counter for all rays, which no ray has
+    index = _below(_evenly(start, shift, number - lit_rays), total + 0 * local.to(tl.int64))
     among_lit = mask & (number < lit_rays)
-    lit_place = _below(_evenly(lit_start, number), lit_total + 0 * local.to(tl.int64))
+    lit_place = _below(_evenly(lit_start, lit_shift, number), lit_total + 0 * local.to(tl.int64))
     index = tl.where(among_lit, tl.load(lit + lit_place, mask=among_lit, other=0).to(tl.int64), index)
     view = view_of(index, view_ends, views, STEPS)
     ox, oy, oz, dx, dy, dz, red, green, blue, alpha = ray_of_pixel(

@@ -86,13 +86,17 @@ class GpuPhotos:
 
 @dataclass(frozen=True)
 class RayDraw:
-    """Which rays of a random batch are drawn: from `first` on of the batch of `seed`.
+    """Which rays of a random batch are drawn: from `first` on.
 
+    Pixels continue `sequence` after `earlier` draws, of lit ones lit_earlier; jitter and background are of `seed`.
     The batch's first lit_rays take one of the first lit_total lit pixels, the others one of the first `total` pixels.
     level: gray of the background; None: random colors.
     """
 
     seed: int
+    sequence: int
+    earlier: int
+    lit_earlier: int
     first: int
     total: int
     lit_total: int

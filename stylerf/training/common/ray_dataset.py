@@ -166,13 +166,16 @@ class RayDataset:
         among: int | None = None,
         lit_share: float = 0.9,
         part: slice = slice(None),
+        earlier: int = 0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw `count` rays of the first `among` views, evenly (decision 0061), and compute those of `part`.
+
+        earlier: rays drawn before with a generator in the same state, whose sequence goes on (see drawn_evenly).
 
         Returns:
             origins, directions [n, 3], colors [n, 4], views [n].
         """
-        views, pixels = self.choose(count, generator, among, lit_share, part)
+        views, pixels = self.choose(count, generator, among, lit_share, part, earlier)
         return *self.at(views, pixels), views
 
     def choose(
@@ -182,18 +185,20 @@ class RayDataset:
         among: int | None = None,
         lit_share: float = 0.9,
         part: slice = slice(None),
+        earlier: int = 0,
     ) -> tuple[np.ndarray, np.ndarray]:
         """(views, row-major pixels) [n] of the rays of draw(); InvalidValue unless `among` is 1 to all views."""
         if among is not None and not 1 <= among <= len(self.cameras):
             raise InvalidValue(f"rays of the first {among} of {len(self.cameras)} views cannot be drawn")
         total = len(self) if among is None else int(self._ends[among - 1])
         # Drawn whole and cut to `part` last: every process consumes the same random stream.
-        index = drawn_evenly(count, total, generator)
-        if self.lit is not None and lit_share > 0:
-            most = self.lit.below(total)
-            if most:
-                chosen = int(count * lit_share)
-                index[:chosen] = self.lit[drawn_evenly(chosen, most, generator)]
+        most = self.lit.below(total) if self.lit is not None and lit_share > 0 else 0
+        if self.lit is None or most == 0:
+            index = drawn_evenly(count, total, generator, earlier)
+        else:
+            near, earlier_near = int(count * lit_share), int(earlier * lit_share)
+            index = self.lit[drawn_evenly(near, most, generator, earlier_near)]
+            index = np.concatenate([index, drawn_evenly(count - near, total, generator, earlier - earlier_near)])
         index = index[part]
         views = np.searchsorted(self._ends, index, side="right")
         return views, index - (self._ends[views] - self.sizes[views])

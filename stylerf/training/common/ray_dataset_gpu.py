@@ -76,17 +76,29 @@ class GpuRayDataset:
         self.photos.codes = self._copy(self._host.codes)
 
     def draw(
-        self, seed: int, first: int, count: int, batch: int, among: int, lit_share: float, level: float | None
+        self,
+        seed: int,
+        first: int,
+        count: int,
+        batch: int,
+        among: int,
+        lit_share: float,
+        level: float | None,
+        sequence: int = 0,
+        earlier: int = 0,
     ) -> RayBatch:
-        """Draw rays `first` to `first + count` of the seed's batch of `batch` random rays, of the first `among` views.
+        """Draw rays `first` to `first + count` of a batch of `batch` random rays, of the first `among` views.
 
+        sequence, earlier: Pixels continue the sequence of this seed after so many rays, as by RayDataset.draw().
+        seed: Of jitter and background.
         lit_share: Fraction of the batch through pixels near something opaque. level: Gray of the background; None:
         random colors.
         """
         total = int(self.ends[among - 1])
         most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
-        lit_rays = int(batch * lit_share) if most_lit else 0
-        return RayBatch(*launch.draw_rays(self.photos, RayDraw(seed, first, total, most_lit, lit_rays, level), count))
+        lit_rays, lit_earlier = (int(rays * lit_share) if most_lit else 0 for rays in (batch, earlier))
+        drawn = RayDraw(seed, sequence, earlier - lit_earlier, lit_earlier, first, total, most_lit, lit_rays, level)
+        return RayBatch(*launch.draw_rays(self.photos, drawn, count))
 
     def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
         """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""

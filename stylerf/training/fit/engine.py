@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Batch:
-    """One step on `rays` random rays of the first `among` views, in `parts`; `step` and the seed decide which.
+    """One step on `rays` random rays of the first `among` views, in `parts`; `earlier` and the seed decide which.
 
+    earlier: rays of all steps before, whose sequence of draws this one continues. `step` seeds what else is random.
     lit_share: fraction of the rays near something opaque. background: white, black, random or none. smoothness: weights
     of the planes' total variation (density, color), 0: none. The others: see FitSettings.
     """
@@ -46,6 +47,7 @@ class Batch:
     coverage: float = 0.0
     distortion: float = 0.0
     least_weight: float = 0.0
+    earlier: int = 0
 
 
 @dataclass(frozen=True)
@@ -138,11 +140,14 @@ class CpuEngine:
 
     def learn(self, batch: Batch) -> StepResult:
         """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
-        # Seeded by the step: a resumed run draws what an uninterrupted one would. Every process draws the whole batch
-        # and then takes its own rays, so the drawing order must not depend on `own` (decision 0020).
-        generator = np.random.default_rng([self.seed, 4, batch.step])
+        # Pixels are one sequence over all steps (decision 0061); what else is random is seeded by the step. A resumed
+        # run draws what an uninterrupted one would. Every process draws the whole batch and then takes its own rays, so
+        # the drawing order must not depend on `own` (decision 0020).
+        pixels, generator = np.random.default_rng([self.seed, 5]), np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
-        origins, directions, colors, _ = self.dataset.draw(count, generator, batch.among, batch.lit_share, own)
+        origins, directions, colors, _ = self.dataset.draw(
+            count, pixels, batch.among, batch.lit_share, own, batch.earlier
+        )
         jitter = generator.random(count, dtype=np.float32)[own]
         background = background_of(batch.background, count, generator)[own]
         totals = np.zeros(2)  # squared error, samples

@@ -163,8 +163,9 @@ class GpuEngine:
         own = self.group.own(batch.rays)
         for some in parts_of(own.start, own.stop, batch.parts):
             drawn = self.dataset.draw(
-                seed, some.start, some.stop - some.start, batch.rays, batch.among, batch.lit_share, level
-            )
+                seed, some.start, some.stop - some.start, batch.rays, batch.among, batch.lit_share, level,
+                self.seed & 0x7FFFFFFF, batch.earlier,
+            )  # fmt: skip
             rendered = field.render_rays(drawn.rays, capacity=-(-self.capacity // batch.parts))
             if field.opaque_background and self.dataset.channels == 4:
                 drawn.wanted = unhidden(drawn.wanted, rendered.out, drawn.background)

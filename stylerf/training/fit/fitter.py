@@ -210,6 +210,7 @@ class Fitter:
             self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4, elapsed)
         learned = self.engine.learn(self._batch())
         state.step += 1
+        state.drawn += state.rays
         if learned.samples_per_ray > 0:  # else no step has finished yet
             state.rays = rays_for(settings.samples, learned.samples_per_ray, state.rays, self.engine.most_rays)
         return learned.error

@@ -39,6 +39,7 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
         coverage=settings.coverage if channels == 4 else 0.0,
         distortion=settings.distortion * _rise(progress, DISTORTION_FROM, DISTORTION_FULL),
         least_weight=settings.least_weight if progress >= SEEN_FROM else 0.0,
+        earlier=state.drawn,
     )
 
 

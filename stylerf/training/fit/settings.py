@@ -277,6 +277,7 @@ class FitState:
     rollbacks: int = 0
     parts: int = 1
     rays: int = 1024
+    drawn: int = 0  # rays of all steps before
     best: float = -math.inf
     quality: dict[str, float] = field(default_factory=dict)  # dB of the field, on views `held out` and `trained on`
     anchor_quality: dict[str, float] = field(default_factory=dict)  # the same of the anchor

@@ -38,3 +38,10 @@ def test_gaps_are_of_three_lengths_at_most():
 def test_the_start_is_the_generators():
     one, same, other = (drawn_evenly(50, 1000, np.random.default_rng(seed)) for seed in (3, 3, 4))
     assert np.array_equal(one, same) and not np.array_equal(one, other)
+
+
+def test_draws_continue_those_of_a_generator_in_the_same_state():
+    parts = [drawn_evenly(count, 10_000, np.random.default_rng(4), at) for at, count in ((0, 300), (300, 500))]
+    assert np.array_equal(np.concatenate(parts), drawn_evenly(800, 10_000, np.random.default_rng(4)))
+    late = drawn_evenly(1000, 1_000_000, np.random.default_rng(4), 10**11)  # after hours on a GPU
+    assert np.histogram(late, 100, (0, 1_000_000))[0].std() < 1
