@@ -199,9 +199,7 @@ class CapacitySearch:
 
     def hopeless(self, quality: float) -> bool:
         """Whether a pruning, just made, has lost more than it can recover."""
-        trial = self.trial
-        bound = HOPELESS_RANKS if trial.what in OF_RANKS else HOPELESS
-        return not min(trial.before, ROUNDING_PSNR) - quality <= bound  # written so that NaN is hopeless
+        return not self.enough(quality)
 
     def enough(self, quality: float) -> bool:
         """Whether the views lose almost nothing by the pruning on trial."""
