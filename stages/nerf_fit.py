@@ -52,10 +52,6 @@ FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of fi
 # In a contraction, steps after which levels end at the latest (FitSettings).
 LEVEL_MAX_STEPS = (350, 850, 1350, 1900)
 ESTIMATED_AFTER_CHECKS = 2  # the first one loads kernels
-# Prunings of objects only. Each point of a capture is seen from about one direction, so its harmonics hold much of its
-# mean color: cut off, they lose 5 to 12 dB, which says nothing about a field that is trained without. Its colors hold
-# fewer cells than its photos have pixels, and views show only late what finer ones are worth (decision 0063).
-OF_OBJECTS = ("degree", "color resolution")
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -214,7 +210,9 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
         least_weight=MIN_CELL_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
-        prunings=tuple(name for name in FitSettings.prunings if scene.layout == "object" or name not in OF_OBJECTS),
+        # Each point of a capture is seen from about one direction, so its harmonics hold much of its mean color: cut
+        # off, they lose 5 to 12 dB, which says nothing about a field that is trained without.
+        prunings=tuple(name for name in FitSettings.prunings if name != "degree" or scene.layout == "object"),
         # An object's light differs from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),

@@ -1,8 +1,7 @@
 """Decide the capacity of a fit: larger while held-out views gain, then smaller where they lose almost nothing.
 
 Growing alone cannot tell what a level is worth: views also gain from the time it gets. So after the last level, parts
-of the field are pruned, each on trial: the smaller field trains for a while if necessary, and is compared with the one
-before. What the views do not miss stays away, and makes every later step cheaper.
+of the field are pruned. What the views do not miss at once stays away, and makes every later step cheaper.
 """
 
 import math
@@ -11,15 +10,7 @@ from dataclasses import replace
 from stylerf.training.fit.settings import CapacityLevel, FitSettings, FitState, Kinds, Trial
 
 MIN_STEPS_PER_LEVEL = 100
-# Length of a pruning's trial: fraction of the budget, within these numbers of steps. A level, too, gets at least
-# this fraction before it is dropped.
-TRIAL_SHARE, TRIAL_STEPS = 0.08, (50, 250)
-# dB that a pruning may lose at first. A trial recovers about a third of a dB of what resolution held; of ranks it
-# recovers little, and what the views gain in its time as well hides that.
-HOPELESS, HOPELESS_RANKS = 0.6, 0.3
-# Steps in which the rate rises after a pruning: without moments, Adam's first steps are its largest. (Keeping the
-# moments was tried; the field recovers more slowly.)
-RAMP = 5
+TRIAL_SHARE = 0.08  # fraction of the budget that a level gets at least before it is dropped
 RANKS = (8, 16)  # that pruning may reach: each is a set of kernels to compile
 RESOLUTIONS = (32, 48, 64, 96, 128, 192, 256, 384, 512)
 COLOR_STEP = 16  # a coarser color's resolution is a multiple of it
@@ -65,7 +56,6 @@ PRUNINGS = {
     "color resolution": _coarser_color,
     "degree": _view_independent,
 }
-OF_RANKS = ("density ranks", "color ranks")
 
 
 class CapacitySearch:
@@ -84,7 +74,7 @@ class CapacitySearch:
 
     @property
     def trial(self) -> Trial:
-        """The change on trial; to be asked for only while there is one."""
+        """The level on trial; to be asked for only while there is one."""
         assert self.state.trial is not None
         return self.state.trial
 
@@ -132,11 +122,6 @@ class CapacitySearch:
         """Steps until the held-out views are trained on."""
         return (self.settings.held_out_until / max(progress, 1e-9) - 1) * self.state.step
 
-    def _trial_steps(self, progress: float) -> int:
-        # Extrapolated, since with a budget of seconds the number of steps is not known.
-        total = self.state.step / max(progress, 1e-9)
-        return round(min(max(TRIAL_SHARE * total, TRIAL_STEPS[0]), TRIAL_STEPS[1]))
-
     def pruning_due(self, progress: float) -> str | None:
         """The name of what to prune now, on trial; None if nothing."""
         s, settings = self.state, self.settings
@@ -145,7 +130,8 @@ class CapacitySearch:
             return None
         if not s.growth_ended and not self._used_up(progress):
             return None
-        return None if self._steps_left(progress) < self._trial_steps(progress) else self._next_pruning()
+        # Views that are trained on miss nothing.
+        return self._next_pruning() if progress < settings.held_out_until else None
 
     def _next_pruning(self) -> str | None:
         s, settings = self.state, self.settings
@@ -165,15 +151,13 @@ class CapacitySearch:
         return top and (self.settings.force_growth or self._next_pruning() is None)
 
     def over(self, progress: float) -> bool:
-        """Whether the present trial has had its time."""
+        """Whether the present level's trial has had its time."""
         trial = self.state.trial
         if trial is None:
             return False
-        if not trial.grows and self.state.step >= trial.until_step:
-            return True
-        if trial.grows and self.settings.force_growth:
+        if self.settings.force_growth:
             return True  # there is nothing to decide: a later fall must lead back to this level, not the one before
-        due = trial.grows and self._past_minimum(progress) and self._used_up(progress)
+        due = self._past_minimum(progress) and self._used_up(progress)
         # Nothing can be judged once the held-out views are trained on.
         return (due and progress >= trial.extended_until) or progress >= self.settings.held_out_until
 
@@ -185,7 +169,7 @@ class CapacitySearch:
         """
         trial = self.trial
         until = min(trial.began_at + TRIAL_SHARE, self.settings.held_out_until)
-        if not trial.grows or progress >= until or self._gained(quality, parameters):
+        if progress >= until or self._gained(quality, parameters):
             return False
         trial.extended_until = until
         return True
@@ -197,81 +181,61 @@ class CapacitySearch:
         required = settings.min_gain if parameters > trial.parameters else 0.0
         return quality - trial.before >= required or settings.force_growth
 
-    def hopeless(self, quality: float) -> bool:
-        """Whether a pruning, just made, has lost more than it can recover."""
-        return not self.enough(quality)
-
-    def enough(self, quality: float) -> bool:
-        """Whether the views lose almost nothing by the pruning on trial."""
-        unpruned = self.state.unpruned
-        assert unpruned is not None  # since the pruning began
-        return quality >= min(unpruned, ROUNDING_PSNR) - self.settings.min_gain
-
-    @property
-    def rate(self) -> float:
-        """Factor of the learning rate."""
-        trial = self.state.trial
-        if trial is None or trial.grows:
-            return 1.0
-        return min(1.0, (self.state.step - trial.from_step + 1) / RAMP)
-
     # -- what -------------------------------------------------------------------------------------------------------
 
-    def begin(self, what: str, quality: float, parameters: int, progress: float) -> CapacityLevel:
-        """Put a change on trial; returns the capacity to go on with."""
-        state, settings = self.state, self.settings
-        before = self.level
-        trial = Trial(what, before=quality, level=before, parameters=parameters, pruned=dict(state.pruned))
-        state.trial = trial
-        if trial.grows:
-            trial.began_at = progress
-            state.level += 1
-        else:
-            state.unpruned = quality if state.unpruned is None else max(state.unpruned, quality)
-            trial.from_step, trial.until_step = state.step, state.step + self._trial_steps(progress)
-            state.pruned |= PRUNINGS[what](before, settings.kinds, settings)
+    def grow(self, quality: float, parameters: int, progress: float) -> CapacityLevel:
+        """Put the next level on trial, and return it. quality, parameters: of the present field."""
+        self.state.trial = Trial(quality, self.level, parameters, began_at=progress)
+        self.state.level += 1
         return self.level
 
     def judge(self, quality: float, parameters: int) -> tuple[bool, str]:
-        """End the trial: whether the change is kept, and the reason. parameters: of the field on trial."""
+        """End a level's trial: whether it is kept, and the reason. parameters: of the field on trial."""
         trial, old, new = self.trial, self.name(self.trial.level), self.name(self.level)
-        gain = quality - trial.before
-        if trial.grows:
-            kept = self._gained(quality, parameters)
-            if self.settings.force_growth:
-                text = f"{new} after {old}, as requested"
-            elif kept:
-                self.state.level_gain = round(gain, 3)
-                text = f"{new} kept: {self.judges} gained {gain:.2f} dB over {old}"
-            else:
-                times = parameters / trial.parameters
-                text = f"{new} dropped: {gain:+.2f} dB for {times:.1f} times the size; staying at {old}"
-                self._note(new, old, parameters, trial.parameters, gain)
+        gain, kept = quality - trial.before, self._gained(quality, parameters)
+        if self.settings.force_growth:
+            text = f"{new} after {old}, as requested"
+        elif kept:
+            self.state.level_gain = round(gain, 3)
+            text = f"{new} kept: {self.judges} gained {gain:.2f} dB over {old}"
         else:
-            kept, times = self.enough(quality), trial.parameters / parameters
-            larger = f"{old}, {times:.1f} times the size" if times > 1.05 else old
-            verdict = "is enough" if kept else "is too little"
-            text = f"{new} {verdict}: {self.judges} {gain:+.2f} dB against {larger}"
-            self._note(old, new, trial.parameters, parameters, -gain)
+            times = parameters / trial.parameters
+            text = f"{new} dropped: {gain:+.2f} dB for {times:.1f} times the size; staying at {old}"
+            self._note(new, old, parameters, trial.parameters, gain)
         self.end(kept)
         return kept, text
+
+    def end(self, kept: bool) -> None:
+        """End a level's trial; unless it is kept, return to the level before it."""
+        self.state.trial = None
+        if not kept:
+            self.state.level, self.state.growth_ended = self.state.level - 1, True
+
+    def pruned(self, what: str) -> CapacityLevel:
+        """The present capacity after a pruning."""
+        return replace(self.level, **PRUNINGS[what](self.level, self.settings.kinds, self.settings))
+
+    def judge_pruning(self, what: str, before: float, after: float, parameters: tuple[int, int]) -> tuple[bool, str]:
+        """Whether a pruning is kept, and the reason: the views must lose almost nothing at once (decision 0063).
+
+        before, after: qualities, dB. parameters: of the field before and after.
+        """
+        state, old, new, (more, fewer) = self.state, self.name(self.level), self.name(self.pruned(what)), parameters
+        state.unpruned = before if state.unpruned is None else max(state.unpruned, before)
+        kept = after >= min(state.unpruned, ROUNDING_PSNR) - self.settings.min_gain
+        if kept:
+            state.pruned |= PRUNINGS[what](self.level, self.settings.kinds, self.settings)
+        else:
+            state.rejected.append(what)
+        larger = f"{old}, {more / fewer:.1f} times the size" if more > 1.05 * fewer else old
+        self._note(old, new, more, fewer, before - after)
+        verdict = "is enough" if kept else "is too little"
+        return kept, f"{new} {verdict}: {self.judges} {after - before:+.2f} dB against {larger}"
 
     def _note(self, larger: str, smaller: str, more: int, fewer: int, gain: float) -> None:
         self.state.sizes.append(
             {"larger": larger, "smaller": smaller, "parameters": [more, fewer], "gain": round(gain, 3)}
         )
-
-    def end(self, kept: bool) -> None:
-        """End the trial; unless the change is kept, restore the capacity before it."""
-        state, trial = self.state, self.trial
-        state.trial = None
-        if kept:
-            return
-        if trial.grows:
-            state.level, state.growth_ended = state.level - 1, True
-        else:
-            state.pruned = trial.pruned
-            state.rejected.append(trial.what)
 
     # -- the result -------------------------------------------------------------------------------------------------
 

@@ -29,7 +29,6 @@ from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
 from stylerf.training.fit.held_out import HeldOutRays
 from stylerf.training.fit.schedule import EXPOSURE_FROM, USABLE_FROM, batch_at, rays_for, refresh_every
 from stylerf.training.fit.settings import (
-    GROW,
     CapacityLevel,
     FitSettings,
     FitState,
@@ -218,7 +217,7 @@ class Fitter:
     def _batch(self) -> Batch:
         """The next step."""
         among = len(self.dataset.cameras) - (self.held_out if self.judging else 0)
-        return batch_at(self.progress, self.state, self.settings, among, self.search.rate, self.dataset.channels)
+        return batch_at(self.progress, self.state, self.settings, among, self.dataset.channels)
 
     # -- the loop ---------------------------------------------------------------------------------------------------
 
@@ -286,9 +285,8 @@ class Fitter:
         begun = time.perf_counter()
         quality = self.held_out_psnr()
         self.checks, self.check_seconds = self.checks + 1, time.perf_counter() - begun
-        recovering = state.trial is not None and not state.trial.grows
         # A fall this deep is not noise: the fit is collapsing, and more training would make it worse.
-        fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0 and not recovering  # NaN counts as a fall
+        fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0  # NaN counts as a fall
         judging = EXPOSURE_FROM <= self.progress <= self.settings.held_out_until and state.stops != []
         if self.exposures is not None and judging and not fallen and math.isfinite(quality):
             quality = self.balance(self.exposures, quality)
@@ -314,17 +312,9 @@ class Fitter:
             if quality >= ROUNDING_PSNR and not self.settings.force_growth:
                 self._stay(quality)
             else:
-                self._try(GROW, quality)
+                self._grow(quality)
         while (pruning := search.pruning_due(self.progress)) is not None:
-            self._try(pruning, quality)
-            reduced = self.held_out_psnr()
-            # What is rejected at once is never trained, so its kernels need not be compiled.
-            if search.enough(reduced) or not search.hopeless(reduced):
-                self.warm_up_levels([search.level])
-                if not search.enough(reduced):
-                    break  # some training decides
-            # Kept without a step, or hopeless: judge it now, and try the next pruning on what remains.
-            quality = self._judge(reduced)
+            quality = self._prune(pruning, quality)
         state.decided |= search.settled
 
     def _stay(self, quality: float) -> None:
@@ -335,24 +325,44 @@ class Fitter:
             f"{self._judges} match within the photos' rounding, {quality:.1f} dB"
         )
 
-    def _try(self, what: str, quality: float) -> None:
+    def _grow(self, quality: float) -> None:
+        """Put the next level on trial."""
         self._keep()
         self.state.best = max(self.state.best, quality)
-        self.resize(self.search.begin(what, quality, self.parameters, self.progress))
+        self.resize(self.search.grow(quality, self.parameters, self.progress))
 
     def _judge(self, quality: float) -> float:
-        """Keep or drop the change on trial; the held-out quality of the field that remains."""
-        state, before, pruned = self.state, self.search.trial.before, not self.search.trial.grows
+        """Keep or drop the level on trial; the held-out quality of the field that remains."""
+        state, before = self.state, self.search.trial.before
         kept, text = self.search.judge(quality, self.parameters)
         state.decisions.append(text)
         if kept:
-            state.best = quality if pruned else max(state.best, quality)
+            state.best = max(state.best, quality)
             self._note_quality(quality)
             self._keep()
             return quality
         self._go_back()
         self.on_say(text)
         return before
+
+    def _prune(self, what: str, quality: float) -> float:
+        """Prune a part of the field unless the views miss it; the held-out quality of the field that remains."""
+        search, state, before = self.search, self.state, self.parameters
+        self._keep()
+        self.resize(search.pruned(what))
+        reduced = self.held_out_psnr()
+        kept, text = search.judge_pruning(what, quality, reduced, (before, self.parameters))
+        state.decisions.append(text)
+        if not kept:
+            self._go_back()
+            self.on_say(text)
+            return quality
+        # What is refused is never trained: its kernels need not be compiled.
+        self.warm_up_levels([search.level])
+        state.best = reduced
+        self._note_quality(reduced)
+        self._keep()
+        return reduced
 
     def _roll_back(self, reason: str) -> None:
         state = self.state

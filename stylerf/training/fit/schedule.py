@@ -14,12 +14,11 @@ OPACITY_FROM = 0.25
 USABLE_FROM = 0.5  # from here on the best field so far is worth more than an error
 
 
-def batch_at(progress: float, state: FitState, settings: FitSettings, among: int, rate: float, channels: int) -> Batch:
+def batch_at(progress: float, state: FitState, settings: FitSettings, among: int, channels: int) -> Batch:
     """Return the next step.
 
     Args:
         among: views that rays are drawn from, the first ones.
-        rate: factor of the learning rate, of a pruning.
         channels: of the photos.
     """
     # Every SMOOTH_EVERY-th step with that many times the weight: the same pull on average (decision 0011).
@@ -31,8 +30,8 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
         among=among,
         lit_share=settings.lit_share,
         background=settings.background,
-        # Exponential decay over the budget, halved by each rollback, ramped up after a pruning.
-        rate=settings.rate * settings.final_rate**progress * state.rate_scale * rate,
+        # Exponential decay over the budget, halved by each rollback.
+        rate=settings.rate * settings.final_rate**progress * state.rate_scale,
         smoothness=(smoothing * settings.smoothness[0], smoothing * settings.smoothness[1]),
         near_scaling_distance=settings.near_scaling_distance,
         opacity=settings.opacity * _rise(progress, OPACITY_FROM, 1.0),

@@ -166,9 +166,6 @@ def grown_parts(
     return field.density.grown(density, generator), field.color.grown(color, generator)
 
 
-GROW = "grow"
-
-
 @dataclass(frozen=True)
 class FitSettings:
     """How a field is fitted.
@@ -232,30 +229,19 @@ class FitSettings:
 
 @dataclass
 class Trial:
-    """A change of capacity on trial.
+    """A level on trial.
 
     Attributes:
-        what: GROW, or the name of a pruning.
         before: dB of the field before it.
-        level, parameters, pruned: Capacity before it, number of parameters, and what was pruned.
-        began_at, extended_until: Progress at which a level began, and to which its trial is extended.
-        from_step, until_step: Steps between which a pruning is on trial.
+        level, parameters: Capacity before it, and number of parameters.
+        began_at, extended_until: Progress at which it began, and to which it is extended.
     """
 
-    what: str
     before: float
     level: CapacityLevel
     parameters: int
-    pruned: dict[str, int] = field(default_factory=dict)
-    began_at: float = 0.0
+    began_at: float
     extended_until: float = 0.0
-    from_step: int = 0
-    until_step: int = 0
-
-    @property
-    def grows(self) -> bool:
-        """Whether a larger level is on trial."""
-        return self.what == GROW
 
 
 @dataclass

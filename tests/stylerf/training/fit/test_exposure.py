@@ -127,7 +127,7 @@ def test_every_figure_that_is_compared_moves_with_the_photos():
     fitter = box_fitter(40, bank=uneven_bank(), exposure="on")
     fitter.run()
     state, before = fitter.state, fitter.held_out_psnr()
-    state.best, state.unpruned, state.trial = 30.0, 31.0, Trial("grow", 29.0, LEVELS[0], 1000)
+    state.best, state.unpruned, state.trial = 30.0, 31.0, Trial(29.0, LEVELS[0], 1000, 0.4)
     fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(0, 2, len(stops))
     after = fitter.balance(fitter.exposures, before)
     assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1

@@ -42,6 +42,20 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits():
     assert_same_bits(found, arrays)
 
 
+def test_all_steps_draw_one_sequence_of_rays():
+    fitter, batches = box_fitter(40), []
+    learn = fitter.engine.learn
+
+    def learned(batch: Batch):
+        batches.append(batch)
+        return learn(batch)
+
+    fitter.engine.learn = learned
+    fitter.run()
+    rays = [batch.rays for batch in batches]
+    assert [batch.earlier for batch in batches] == [sum(rays[:step]) for step in range(40)] and len({*rays}) > 1
+
+
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
@@ -61,9 +75,8 @@ def test_what_masks_hide_in_a_closed_space_teaches_nothing(kind):
     assert all(not found.any() for found in gradients_of(masked_wall(24)[1], field))
     # What a photo shows counts for as much as without the mask.
     half, whole = masked_wall(12)[1], masked_wall(0)[1]
-    generator = np.random.default_rng([0, 4, 0])
-    views, pixels = half.choose(200, generator, 8, 0.0)
-    jitter = generator.random(200, dtype=np.float32)
+    views, pixels = half.choose(200, np.random.default_rng([0, 5]), 8, 0.0)
+    jitter = np.random.default_rng([0, 4, 0]).random(200, dtype=np.float32)
     shown = pixels % 24 >= 12
     origins, directions, colors = (array[shown] for array in whole.at(views, pixels))
     rendered = render_rays(field, Rays.of(origins, directions, space.near, jitter[shown]), threads=1)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from stylerf.rendering.view import render_view
-from stylerf.training.fit import capacity_search
 from stylerf.training.fit.capacity_search import MIN_STEPS_PER_LEVEL, ROUNDING_PSNR
 from stylerf.training.fit.fitter import Fitter
 from tests.stylerf.training.running import Stopped, assert_same_bits, now, resumed, run_until
@@ -197,38 +196,31 @@ def test_ranks_that_the_views_do_not_miss_are_pruned():
     assert "is enough" in fitter.state.decisions[0] and fitter.search.summary(1).startswith("vm 8^3 rank 8+24")
 
 
-def test_what_the_views_miss_comes_back_to_the_bit():
-    fitter, before = reducing(min_gain=-50.0, prunings=("density ranks",)), {}
+def test_what_the_views_miss_comes_back_to_the_bit_and_is_not_taught(monkeypatch):
+    fitter, seen = reducing(min_gain=-50.0), []
+    go_back = Fitter._go_back
 
-    def on_step(now_: Fitter) -> None:
-        if now_.state.trial is not None:
-            before.update(now(now_.checkpoint()[1], "anchor."))
-            assert now_.field.density.rank == 8
-        elif before:
-            assert_same_bits(now(now_.checkpoint()[1]), before)
-            raise Stopped
+    def watched(self: Fitter) -> None:
+        before = self.field.density.rank
+        go_back(self)
+        seen.append((before, now(self.checkpoint()[1]), now(self.checkpoint()[1], "anchor.")))
 
-    with pytest.raises(Stopped):
-        fitter.run(on_step)
-    assert fitter.field.density.rank == 16 and "is too little" in fitter.state.decisions[0]
-    assert fitter.state.rejected == ["density ranks"] and fitter.state.rate_scale == 1.0
-
-
-def test_what_the_views_miss_badly_is_not_even_taught(monkeypatch):
-    monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", -50.0)
-    fitter = reducing(260, prunings=("color ranks",), min_gain=-50.0)
+    monkeypatch.setattr(Fitter, "_go_back", watched)
     fitter.run()
-    assert fitter.field.color.rank == 24 and "8^3 rank 16+16 is too little" in fitter.state.decisions[0]
+    [(rank, restored, kept)] = seen
+    assert rank == 8
+    assert_same_bits(restored, kept)
+    assert fitter.field.density.rank == 16 and "8^3 rank 8+24 is too little" in fitter.state.decisions[0]
+    assert fitter.state.rejected == ["density ranks"] and fitter.state.rate_scale == 1.0
     assert len({entry["parameters"] for entry in fitter.state.curve}) == 1
 
 
-def test_a_fit_stopped_within_a_pruning_goes_on_to_the_same_bits(monkeypatch):
-    monkeypatch.setattr(capacity_search, "HOPELESS_RANKS", 50.0)
-    given = {"prunings": ("color ranks",), "min_gain": 0.01}
+def test_a_fit_stopped_after_a_pruning_goes_on_to_the_same_bits():
+    given = {"prunings": ("color ranks",), "min_gain": 50.0}
     whole = reducing(260, **given)
     whole.run()
     at = run_until(reducing(260, **given), 130)
-    assert at.state.trial is not None and at.field.color.rank == 16
+    assert at.state.pruned == {"color_rank": 8} and at.field.color.rank == 8
     at = resumed(reducing(260, **given), at)
     at.run()
     assert at.state.decisions == whole.state.decisions
