@@ -311,17 +311,28 @@ def test_the_loop_runs_and_resumes_on_a_device(bank, device):
     np.testing.assert_allclose(part.field.color.values, whole.field.color.values, atol=1e-3)
 
 
-def test_a_pruning_goes_to_the_device_and_comes_back_refused(bank, device):
+def test_a_pruning_goes_to_the_device_and_comes_back_if_it_is_refused(bank, device):
     made = small_fitter(bank, device)
     made.step()
     before, size = made.field.density.values.copy(), made.parameters
-    made._try("density ranks", 20.0)
-    assert made.engine.device_field.density.rank == 8 and made.parameters < size
-    made.step()
-    assert made.field.density.rank == 8 and made.field.density.values.shape < before.shape
-    assert made._judge(19.0) == 20.0
+    seen = []
+
+    def judged(quality: float):
+        def psnr() -> float:
+            seen.append((made.engine.device_field.density.rank, made.parameters < size))
+            return quality
+
+        return psnr
+
+    made.held_out_psnr = judged(19.0)
+    assert made._prune("density ranks", 20.0) == 20.0
     assert made.engine.device_field.density.rank == 16 and made.state.rejected == ["density ranks"]
     np.testing.assert_array_equal(made.engine.device_field.density.values.cpu(), before)
+    made.held_out_psnr = judged(20.5)
+    assert made._prune("density ranks", 20.0) == 20.5 and seen == [(8, True), (8, True)]
+    made.step()
+    assert made.engine.device_field.density.rank == made.field.density.rank == 8
+    assert made.field.density.values.shape < before.shape and made.parameters < size
 
 
 def test_a_view_is_the_cpus_picture(device):

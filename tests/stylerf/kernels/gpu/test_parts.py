@@ -151,6 +151,7 @@ def test_a_batch_depends_on_the_seed_and_not_on_how_it_is_split(device):
     for of in (lambda d: d.rays.directions, lambda d: d.wanted, lambda d: d.background, lambda d: d.rays.jitter):
         assert torch.equal(of(whole), torch.cat([of(part) for part in parts]))
     assert not torch.equal(whole.background, made.draw(8, 0, 90, 90, 4, 0.5, None).background)
+    assert 0.3 < float(whole.background.mean()) < 0.7 and float(whole.background.std()) > 0.2
 
 
 def test_a_batch_continues_the_draws_of_the_batches_before(device):
@@ -164,9 +165,7 @@ def test_a_batch_continues_the_draws_of_the_batches_before(device):
     joined = torch.cat([part.rays.directions for part in parts])[order]
     torch.testing.assert_close(joined, whole.rays.directions)
     assert not torch.equal(whole.rays.directions, made.draw(7, 0, 90, 90, 4, 0.5, 1.0, 4).rays.directions)
-    # Any number of rays: the shift is taken modulo 2^32.
-    made.draw(7, 0, 90, 90, 4, 0.5, 1.0, 3, 10**11)
-    assert 0.3 < float(whole.background.mean()) < 0.7 and float(whole.background.std()) > 0.2
+    made.draw(7, 0, 90, 90, 4, 0.5, 1.0, 3, 10**11)  # the shift is taken modulo 2^32
 
 
 def test_distances_are_scipys_and_never_beyond(device):

@@ -353,7 +353,7 @@ def test_the_gradient_of_a_step_in_parts_is_the_gradient_of_the_whole():
         for found, expected in zip(step_gradients(parts), whole):
             largest = np.abs(expected).max()
             assert largest > 0
-            np.testing.assert_allclose(found, expected, atol=1e-6 * largest)
+            np.testing.assert_allclose(found, expected, atol=2e-6 * largest)  # sums of float32 in another order
 
 
 def test_planes_are_smoothed_every_eighth_step_by_as_much_as_eight():
