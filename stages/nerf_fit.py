@@ -52,6 +52,7 @@ FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of fi
 # In a contraction, steps after which levels end at the latest (FitSettings).
 LEVEL_MAX_STEPS = (350, 850, 1350, 1900)
 ESTIMATED_AFTER_CHECKS = 2  # the first one loads kernels
+NEIGHBORS = 4  # of a camera, by whose mean distance it is inside a capture or at its edge
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
@@ -67,7 +68,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
             f"{inputs['scene'].path}: of {len(scene.views)} views {len(train)} {'is' if len(train) == 1 else 'are'} to "
             "train on where a fit needs at least 2; import more photos, or keep none for tests by --test-every 0"
         )
-    held_out = _held_out(train, config.held_out)
+    held_out = _held_out(scene, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
     bank = bank_of(scene, order, partial.folder, context)
     report_ineffective_options(config, scene.layout, space.kind, bank.channels == 4, context)
@@ -266,11 +267,26 @@ def _table_bits(resolution: int) -> int:
     return max([LEVELS[0].table_bits] + [level.table_bits for level in LEVELS if level.resolution <= resolution])
 
 
-def _held_out(train: list[int], wanted: int) -> list[int]:
+def _held_out(scene: SceneData, wanted: int) -> list[int]:
+    """The training views that decide on capacity."""
+    train = scene.splits["train"]
     count = min(4, len(train) // 10) if wanted < 0 else wanted
     if count >= len(train) - 1:
         raise BadInput(f"{count} of {len(train)} training views cannot be held out; lower --held-out")
-    return spread(train, count)
+    if scene.layout == "object" or 2 * count > len(train):
+        return spread(train, count)
+    # At the edge of a capture a finer field gains little: what a view shows there no other one has seen (0064).
+    inner = surrounded(np.array([scene.cameras[view].center for view in train]))
+    return spread([train[place] for place in inner], count)
+
+
+def surrounded(centers: np.ndarray) -> list[int]:
+    """The half of the cameras [n, 3], n > 1, whose nearest neighbors are closest, in order: those inside a capture.
+
+    More than half where several are as close, as along an even path.
+    """
+    apart = np.sort(np.linalg.norm(centers[:, None] - centers, axis=-1), axis=1)[:, 1 : 1 + NEIGHBORS].mean(1)
+    return np.flatnonzero(apart <= np.median(apart) * (1 + 1e-6)).tolist()
 
 
 def shown_background(background: str) -> str:

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from schemas.work_folder import WorkFolder
@@ -114,6 +115,31 @@ def test_a_capacity_given_by_hand_is_climbed_to_whatever_the_space():
     last = requested.levels[-1]
     assert (last.resolution, last.density_rank, last.color_rank) == (192, 8, 16) and requested.force_growth
     assert len(requested.level_ends) == len(requested.levels) - 1
+
+
+def test_views_inside_a_capture_decide():
+    grid = np.array([(x, y, 0.0) for y in range(5) for x in range(5)])
+    rim = {at for at, (x, y, _) in enumerate(grid) if {x, y} & {0, 4}}
+    inner = nerf_fit.surrounded(grid)
+    assert inner == sorted(inner) and {*range(25)} - rim <= {*inner} and not {0, 4, 20, 24} & {*inner}
+    path = np.array([(0.0, 0.0, z) for z in range(20)])
+    assert nerf_fit.surrounded(path) == [*range(2, 18)]
+    uneven = np.cumsum(np.arange(10.0))[:, None] * [1, 0, 0]
+    assert nerf_fit.surrounded(uneven) == [0, 1, 2, 3, 4]
+    assert nerf_fit.surrounded(np.eye(3)[:2]) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("layout", "count", "expected"), [("forward", -1, [8, 16]), ("object", -1, [7, 17]), ("forward", 11, None)]
+)
+def test_held_out_views_are_spread_evenly_over_those_that_may_be(layout, count, expected):
+    cameras = [SimpleNamespace(center=np.array([x, 0.0, 0.0])) for x in range(24)]
+    scene = SimpleNamespace(layout=layout, cameras=cameras, splits={"train": [*range(2, 22)]})
+    found = nerf_fit._held_out(scene, count)
+    if expected is None:
+        assert len({*found}) == count
+    else:
+        assert found == expected
 
 
 def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():

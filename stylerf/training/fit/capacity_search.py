@@ -123,7 +123,7 @@ class CapacitySearch:
         return (self.settings.held_out_until / max(progress, 1e-9) - 1) * self.state.step
 
     def pruning_due(self, progress: float) -> str | None:
-        """The name of what to prune now, on trial; None if nothing."""
+        """The name of what to prune now; None if nothing."""
         s, settings = self.state, self.settings
         growing = not s.growth_ended and s.level < self._last
         if settings.force_growth or s.trial is not None or growing or not self._past_minimum(progress):
