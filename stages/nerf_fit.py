@@ -4,6 +4,7 @@ import time
 from contextlib import nullcontext
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
@@ -285,7 +286,8 @@ def surrounded(centers: np.ndarray) -> list[int]:
 
     More than half where several are as close, as along an even path.
     """
-    apart = np.sort(np.linalg.norm(centers[:, None] - centers, axis=-1), axis=1)[:, 1 : 1 + NEIGHBORS].mean(1)
+    nearest, _ = cKDTree(centers).query(centers, min(1 + NEIGHBORS, len(centers)))  # each one's first is itself
+    apart = nearest[:, 1:].mean(1)
     return np.flatnonzero(apart <= np.median(apart) * (1 + 1e-6)).tolist()
 
 

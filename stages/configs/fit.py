@@ -53,7 +53,7 @@ class FitConfig:
         help="correct photos to one exposure (auto: in captures whose photos clearly differ)",
     )
     held_out: int = option(
-        -1, metavar="N", help="training views held out for decisions (-1: every tenth, at most 4; 0: none)"
+        -1, metavar="N", help="training views held out for decisions (-1: a tenth, at most 4; 0: none)"
     )
     buffers: bool = option(True, help="also render every view to EXR after the fit", incidental=True)
     head: str = advanced(

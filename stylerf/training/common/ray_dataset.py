@@ -170,7 +170,7 @@ class RayDataset:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Draw `count` rays of the first `among` views, evenly (decision 0061), and compute those of `part`.
 
-        earlier: rays drawn before with a generator in the same state, whose sequence goes on (see drawn_evenly).
+        earlier: rays already drawn with a generator in the same state; these continue their sequence.
 
         Returns:
             origins, directions [n, 3], colors [n, 4], views [n].

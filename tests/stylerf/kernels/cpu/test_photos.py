@@ -60,7 +60,7 @@ def test_rays_near_an_object_are_drawn_more_often():
     # Two rounds of dilation by a cross around 2x2 pixels light 4 + 8 + 12 = 24 of the 1600; 4 of these are opaque.
     assert abs((colors[:, 3] == 1).mean() - (0.9 * 4 / 24 + 0.1 * 4 / 1600)) < 0.02
     assert abs(views.mean() - 0.5) < 0.03
-    # A batch that continues another's draws goes on where that one ended, near the object and in all.
+    # A batch that continues another's draws starts where that one ended, near the object and in all.
     batches = (0, 700), (700, 300)
     parts = [bank.choose(count, np.random.default_rng(0), earlier=at) for at, count in batches]
     numbers = np.concatenate([views * 1600 + pixels for views, pixels in parts])
