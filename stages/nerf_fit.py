@@ -4,7 +4,6 @@ import time
 from contextlib import nullcontext
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact
@@ -286,6 +285,8 @@ def surrounded(centers: np.ndarray) -> list[int]:
 
     More than half where several are as close, as along an even path.
     """
+    from scipy.spatial import cKDTree  # half a second, for which no other verb need wait
+
     nearest, _ = cKDTree(centers).query(centers, min(1 + NEIGHBORS, len(centers)))  # each one's first is itself
     apart = nearest[:, 1:].mean(1)
     return np.flatnonzero(apart <= np.median(apart) * (1 + 1e-6)).tolist()
