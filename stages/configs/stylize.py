@@ -67,7 +67,7 @@ class StylizeConfig:
         help="color matching to the style image (auto: both; refnpr: before if it makes the reference, else none)",
     )
     keep_colors: bool = option(False, help="the style image's strokes in the photos' colors")
-    rate: float = option(3e-2, help="learning rate of the colors")
+    rate: float = option(4e-2, help="learning rate of the colors")
     style_scale: float = advanced(
         1.5, LOSS, help="size of the style image relative to the view; --stroke scales it from there"
     )
@@ -94,7 +94,7 @@ class StylizeConfig:
     )
     style_rows: int = advanced(4096, LOSS, help="most style features to match with")
     style_basis: int = advanced(96, LOSS, help="principal directions used to find nearest neighbors (0: all, exact)")
-    refit_steps: int = advanced(300, COLORS, help="steps that first fit the new colors to the photos")
+    refit_steps: int = advanced(400, COLORS, help="steps that first fit the new colors to the photos")
     min_spread: float = advanced(
         0.0, COLORS, help="smallest standard deviation of luma to match to, 0 to 0.25; remedy for blank style images"
     )

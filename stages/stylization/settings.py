@@ -14,7 +14,7 @@ from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOR_CELLS, ArfConfig, DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.run.progress import Context
 from stages.run.training_loop import run_training
-from stylerf.fields.hash_grid import DETAIL, HashColor
+from stylerf.fields.hash_grid import BROAD, DETAIL, HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of
@@ -212,6 +212,8 @@ def settings_of(
         own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))
         # Strokes are as fine a part of a small picture as of a large one (decision 0052).
         own["detail"] = DETAIL * min(1.0, long_side / FEATURE_SIDE)
+        if loss == "transport" and not isinstance(config, RefNprConfig):
+            own["broad"] = BROAD  # decision 0065
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
         own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate

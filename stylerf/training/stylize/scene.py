@@ -3,6 +3,7 @@
 StyleProblem holds what is given; StyledScene holds what changes. Methods render its views and add gradients to it.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
@@ -14,7 +15,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.color_map import ColorMap
 from stylerf.fields.deformation import Deformation, at_rest
-from stylerf.fields.hash_grid import HashColor
+from stylerf.fields.hash_grid import DETAIL, HashColor
 from stylerf.fields.packed_surface import pixel_cells
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
@@ -126,6 +127,7 @@ MEMORY = 8e9  # bytes
 # Fractions of the memory. A march takes seconds to repeat, features about as long, a photo a tenth of that.
 SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
 REGION_MASKS = 0.05  # beyond these
+REFIT_DETAIL_RATE = 0.2  # of the finest colors in the refit, see HashColor: few pixels teach each of them (0065)
 COARSEST_STEP = 1 / 128  # cube units; of a deforming field, whose rays are marched again in every step
 
 
@@ -269,10 +271,17 @@ class StyledScene(Generic[Settings_co]):
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
         color = self.field.color.own if isinstance(self.field.color, RegionColor) else self.field.color
-        if self.state.phase != REFIT and isinstance(self.settings, ArfSettings) and isinstance(color, HashColor):
-            # The refit learns the photos' detail in full.
-            color.detail_rate, color.detail = self.settings.detail_rate, self.settings.detail
+        if isinstance(color, HashColor):
+            color.detail_rate, color.detail, color.broad = self._rates_by_width()
         return self.fixed.new_adam(self.settings.gradient_clip)
+
+    def _rates_by_width(self) -> tuple[float, float, float]:
+        """Return HashColor's detail_rate, detail and broad for the present phase."""
+        if self.state.phase == REFIT:
+            return REFIT_DETAIL_RATE, DETAIL, math.inf
+        if isinstance(s := self.settings, ArfSettings):
+            return s.detail_rate, s.detail, s.broad
+        return 1.0, DETAIL, math.inf
 
     def collect(self) -> None:
         """Copy what a GPU has learned into the field's own arrays."""

@@ -1,5 +1,6 @@
 """Settings of each stylization method, and the state of a run."""
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
@@ -29,9 +30,9 @@ class StyleSettings:
 
     steps: int = 0
     seconds: float = 120.0
-    refit_steps: int = 300
+    refit_steps: int = 400
     refit_pixels: int = 8192
-    refit_rate: float = 1e-2
+    refit_rate: float = 3e-2
     rate: float = 1e-2
     final_rate: float = 0.2
     match: str = "both"
@@ -89,7 +90,7 @@ class ArfSettings(ImageStyleSettings):
     Attributes:
         strategy, dilation, blur: See rendering/ray_selection.py.
         remember: Take unselected pixels from the view's last render.
-        detail_rate, detail: See HashColor; of the style steps.
+        detail_rate, detail, broad: See HashColor; of the style steps.
     """
 
     strategy: str = "deferred"
@@ -98,6 +99,7 @@ class ArfSettings(ImageStyleSettings):
     remember: bool = True
     detail_rate: float = 1.0
     detail: float = DETAIL
+    broad: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,12 @@ def test_smaller_views_slow_fewer_levels_of_the_colors():
     assert [settings_of(ArfConfig(style="x"), side, True).detail for side in (1024, 512, 256)] == [5.0, 5.0, 2.5]
 
 
+def test_broad_cells_are_slowed_where_features_are_transported():
+    broad = {name: settings_of(CONFIGS[name](style="x"), 512, True).broad for name in ("arf", "desrf", "refnpr")}
+    assert broad == {"arf": 10.0, "desrf": 10.0, "refnpr": np.inf}
+    assert settings_of(ArfConfig(style="x", match_by="nearest"), 512, True).broad == np.inf
+
+
 def test_finest_colors_learn_as_fast_as_the_style_image_is_rough():
     """A flat one slows them to a tenth, noise as strong as canvas does not; an option decides before either."""
     flat = torch.full((3, 64, 96), 0.5)

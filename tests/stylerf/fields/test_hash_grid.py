@@ -26,3 +26,11 @@ def test_levels_finer_than_five_cells_of_the_finest_learn_more_slowly(color):
     color.detail = 2.0  # 160 / 2 = 80 cells
     expected = [1, 1, 1, 1] + [0.1 ** (np.log(cells / 80) / np.log(5)) for cells in (101, 160)]
     np.testing.assert_allclose(list(zip(*color.groups()))[2], expected)
+
+
+def test_levels_of_broad_cells_learn_the_more_slowly_the_wider_they_are(color):
+    color.broad = 4.0  # of the finest level's cells; those of the coarsest are ten times as wide
+    rates = list(zip(*color.groups()))[2]
+    np.testing.assert_allclose(rates, [0.4, 4 / (160 / 25), 1, 1, 1, 1])
+    color.detail_rate = 0.1
+    assert list(zip(*color.groups()))[2][:2] == rates[:2] and list(zip(*color.groups()))[2][-1] == pytest.approx(0.1)
