@@ -14,7 +14,7 @@ from stages.configs.fit import budget_of
 from stages.configs.stylize import COLOR_CELLS, ArfConfig, DesrfConfig, RefNprConfig, SnerfConfig, StylizeConfig
 from stages.run.progress import Context
 from stages.run.training_loop import run_training
-from stylerf.fields.hash_grid import BROAD, DETAIL, HashColor
+from stylerf.fields.hash_grid import DETAIL, HashColor
 from stylerf.fields.protocol import ColorPart
 from stylerf.fields.region_color import RegionColor
 from stylerf.style.feature_extractor import LAYERS, layers_of
@@ -34,6 +34,8 @@ SMALL_VIEW = 256  # pixels of its longer side
 FINER = 1.25  # cells per pixel width
 # The finest colors learn at a style image's roughness over ROUGH, within bounds (decision 0057).
 ROUGH, DETAIL_RATES = 0.05, (0.1, 1.0)
+# In finest cells, where features are taken at full size: wider ones learn slowly (decision 0065).
+BROAD = 10.0
 FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
 PLAIN = {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
@@ -213,7 +215,7 @@ def settings_of(
         # Strokes are as fine a part of a small picture as of a large one (decision 0052).
         own["detail"] = DETAIL * min(1.0, long_side / FEATURE_SIDE)
         if loss == "transport" and not isinstance(config, RefNprConfig):
-            own["broad"] = BROAD  # decision 0065
+            own["broad"] = BROAD / feature_scale
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
         own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate

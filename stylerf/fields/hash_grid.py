@@ -222,7 +222,7 @@ class HashFeatures(TableFeatures):
         return cls(Levels.restore(data, ROW))
 
 
-DETAIL, BROAD = 5.0, 10.0  # widths in cells of the finest level, see HashColor
+DETAIL = 5.0  # width in cells of the finest level, see HashColor.detail_rate
 
 
 class HashColor:

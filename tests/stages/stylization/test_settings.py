@@ -94,6 +94,7 @@ def test_broad_cells_are_slowed_where_features_are_transported():
     broad = {name: settings_of(CONFIGS[name](style="x"), 512, True).broad for name in ("arf", "desrf", "refnpr")}
     assert broad == {"arf": 10.0, "desrf": 10.0, "refnpr": np.inf}
     assert settings_of(ArfConfig(style="x", match_by="nearest"), 512, True).broad == np.inf
+    assert settings_of(ArfConfig(style="x"), 1024, True).broad == 20.0  # features are as wide at half the size
 
 
 def test_finest_colors_learn_as_fast_as_the_style_image_is_rough():
