@@ -1,5 +1,6 @@
 """From the options of a stylization to its settings (what `auto`, 0 and -1 stand for) and its training."""
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import fields
@@ -36,6 +37,7 @@ FINER = 1.25  # cells per pixel width
 ROUGH, DETAIL_RATES = 0.05, (0.1, 1.0)
 # In finest cells, where features are taken at full size: wider ones learn slowly (decision 0065).
 BROAD = 10.0
+NARROW = 1.1  # pixels of the images that features are taken of; narrower cells do not learn (decision 0066)
 FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
 PLAIN = {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
@@ -213,9 +215,11 @@ def settings_of(
         own["strategy"] = strategy_of(config, long_side)
         own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))
         # Strokes are as fine a part of a small picture as of a large one (decision 0052).
-        own["detail"] = DETAIL * min(1.0, long_side / FEATURE_SIDE)
-        if loss == "transport" and not isinstance(config, RefNprConfig):
-            own["broad"] = BROAD / feature_scale
+        small = min(1.0, long_side / FEATURE_SIDE)
+        own["detail"] = DETAIL * small
+        if not isinstance(config, RefNprConfig):
+            own["narrow"] = NARROW * small / feature_scale
+            own["broad"] = BROAD / feature_scale if loss == "transport" else math.inf
     if isinstance(config, DesrfConfig):
         own["max_slope"] = min(STEEPEST, SLOPE * config.bend)
         own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate

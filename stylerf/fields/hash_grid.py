@@ -235,6 +235,7 @@ class HashColor:
         detail_rate: learning rate of cells DETAIL times as narrow as those that learn in full, relative to these.
         detail: width, in cells of the finest level, from which cells learn in full.
         broad: width, in cells of the finest level, beyond which cells learn the more slowly, the wider they are.
+        narrow: width, in cells of the finest level, below which cells do not learn.
     """
 
     kind = "hash"
@@ -246,7 +247,7 @@ class HashColor:
             raise InvalidValue(f"hash color: {len(values)} values where {self.grid.length} were expected")
         self.levels, self.base, self.finest, self.table = self.grid.count, int(base), int(finest), int(table)
         self.values, self.layout = values, self.grid.layout()
-        self.detail_rate, self.detail, self.broad = 1.0, DETAIL, np.inf
+        self.detail_rate, self.detail, self.broad, self.narrow = 1.0, DETAIL, np.inf, 0.0
         self._shape = (np.int8(0),) * self.levels
 
     @classmethod
@@ -258,11 +259,12 @@ class HashColor:
         return cls(levels, base, finest, table, generator.uniform(-1e-2, 1e-2, count).astype(np.float32))
 
     def groups(self) -> list[tuple[int, int, float]]:
-        if self.detail_rate == 1 and self.broad == np.inf:
+        if self.detail_rate == 1 and self.broad == np.inf and self.narrow <= 1:
             return [(0, len(self.values), 1.0)]
         power = np.log(self.detail_rate) / np.log(DETAIL)
         widths = self.finest / np.asarray(self.grid.cells)
         rates = np.maximum(1.0, self.detail / widths) ** power * np.minimum(1.0, self.broad / widths)
+        rates[widths < self.narrow] = 0
         firsts = self.grid.firsts
         return [(int(firsts[i]), int(firsts[i + 1]), float(rate)) for i, rate in enumerate(rates)]
 

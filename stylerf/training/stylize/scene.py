@@ -270,18 +270,21 @@ class StyledScene(Generic[Settings_co]):
 
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
-        color = self.field.color.own if isinstance(self.field.color, RegionColor) else self.field.color
+        color, pixel_cells = self.field.color, self.pixel_cells()
+        if isinstance(color, RegionColor):
+            color, pixel_cells = color.own, color.side * pixel_cells
         if isinstance(color, HashColor):
-            color.detail_rate, color.detail, color.broad = self._rates_by_width()
+            color.detail_rate, color.detail, color.broad, narrow = self._rates_by_width()
+            color.narrow = narrow * color.finest / pixel_cells  # nan, if nothing is seen: all learn
         return self.fixed.new_adam(self.settings.gradient_clip)
 
-    def _rates_by_width(self) -> tuple[float, float, float]:
-        """Return HashColor's detail_rate, detail and broad for the present phase."""
+    def _rates_by_width(self) -> tuple[float, float, float, float]:
+        """Return HashColor's detail_rate, detail and broad for the present phase, and ArfSettings.narrow."""
         if self.state.phase == REFIT:
-            return REFIT_DETAIL_RATE, DETAIL, math.inf
+            return REFIT_DETAIL_RATE, DETAIL, math.inf, 0.0
         if isinstance(s := self.settings, ArfSettings):
-            return s.detail_rate, s.detail, s.broad
-        return 1.0, DETAIL, math.inf
+            return s.detail_rate, s.detail, s.broad, s.narrow
+        return 1.0, DETAIL, math.inf, 0.0
 
     def collect(self) -> None:
         """Copy what a GPU has learned into the field's own arrays."""

@@ -91,6 +91,7 @@ class ArfSettings(ImageStyleSettings):
         strategy, dilation, blur: See rendering/ray_selection.py.
         remember: Take unselected pixels from the view's last render.
         detail_rate, detail, broad: See HashColor; of the style steps.
+        narrow: Width in pixels below which cells do not learn in the style steps.
     """
 
     strategy: str = "deferred"
@@ -100,6 +101,7 @@ class ArfSettings(ImageStyleSettings):
     detail_rate: float = 1.0
     detail: float = DETAIL
     broad: float = math.inf
+    narrow: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -97,6 +97,12 @@ def test_broad_cells_are_slowed_where_features_are_transported():
     assert settings_of(ArfConfig(style="x"), 1024, True).broad == 20.0  # features are as wide at half the size
 
 
+def test_cells_narrower_than_features_see_do_not_learn():
+    narrow = {side: settings_of(ArfConfig(style="x"), side, True).narrow for side in (256, 512, 1024)}
+    assert narrow == {256: 0.55, 512: 1.1, 1024: 2.2}  # pixels; large views have features at half the size
+    assert settings_of(CONFIGS["refnpr"](style="x"), 512, True).narrow == 0.0  # references teach single pixels
+
+
 def test_finest_colors_learn_as_fast_as_the_style_image_is_rough():
     """A flat one slows them to a tenth, noise as strong as canvas does not; an option decides before either."""
     flat = torch.full((3, 64, 96), 0.5)

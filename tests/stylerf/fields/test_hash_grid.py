@@ -34,3 +34,10 @@ def test_levels_of_broad_cells_learn_the_more_slowly_the_wider_they_are(color):
     np.testing.assert_allclose(rates, [0.4, 4 / (160 / 25), 1, 1, 1, 1])
     color.detail_rate = 0.1
     assert list(zip(*color.groups()))[2][:2] == rates[:2] and list(zip(*color.groups()))[2][-1] == pytest.approx(0.1)
+
+
+def test_levels_of_narrow_cells_do_not_learn(color):
+    color.narrow = 2.0  # of the finest level's cells; those of 101 a side are 1.6 times as wide
+    assert [rate for _, _, rate in color.groups()] == [1, 1, 1, 1, 0, 0]
+    color.narrow = float("nan")  # nothing is seen
+    assert {rate for _, _, rate in color.groups()} == {1.0}

@@ -61,6 +61,23 @@ def test_style_steps_learn_some_levels_slowly_and_the_refit_the_finest(slow):
     assert min(found["style"]) == pytest.approx(slowest) and max(found["style"]) == 1
 
 
+def test_colors_narrower_than_features_see_stay_as_the_refit_left_them():
+    made = stylizer(narrow=2.0)
+    grid, pixel_cells = made.scene.field.color.grid, made.scene.pixel_cells()
+    sharp = int(grid.firsts[sum(2.0 * cells <= pixel_cells for cells in grid.cells)])
+    after_refit = []
+
+    def look(run: StylizationTrainer) -> None:
+        if run.state.phase == "refit" or not after_refit:
+            after_refit[:] = [run.scene.field.color.values.copy()]
+
+    made.run(look)
+    values, refitted = made.scene.field.color.values, after_refit[0]
+    assert 0 < sharp < len(values)
+    np.testing.assert_array_equal(values[sharp:], refitted[sharp:])
+    assert np.abs(values[:sharp] - refitted[:sharp]).max() > 0
+
+
 # -- what a step teaches --------------------------------------------------------------------------------------------
 
 
