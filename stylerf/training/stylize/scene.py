@@ -270,12 +270,12 @@ class StyledScene(Generic[Settings_co]):
 
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
-        color, pixel_cells = self.field.color, self.pixel_cells()
+        color, side = self.field.color, 1.0  # of the cube that its cells divide
         if isinstance(color, RegionColor):
-            color, pixel_cells = color.own, color.side * pixel_cells
+            side, color = color.side, color.own
         if isinstance(color, HashColor):
             color.detail_rate, color.detail, color.broad, narrow = self._rates_by_width()
-            color.narrow = narrow * color.finest / pixel_cells  # nan, if nothing is seen: all learn
+            color.narrow = narrow * color.finest / (side * self.pixel_cells())  # nan if nothing is seen: all learn
         return self.fixed.new_adam(self.settings.gradient_clip)
 
     def _rates_by_width(self) -> tuple[float, float, float, float]:
