@@ -235,7 +235,7 @@ class HashColor:
         detail_rate: learning rate of cells DETAIL times as narrow as those that learn in full, relative to these.
         detail: width, in cells of the finest level, from which cells learn in full.
         broad: width, in cells of the finest level, beyond which cells learn the more slowly, the wider they are.
-        narrow: width, in cells of the finest level, below which cells do not learn.
+        narrow: width, in cells of the finest level, below which cells do not learn; the coarsest always do.
     """
 
     kind = "hash"
@@ -264,7 +264,7 @@ class HashColor:
         power = np.log(self.detail_rate) / np.log(DETAIL)
         widths = self.finest / np.asarray(self.grid.cells)
         rates = np.maximum(1.0, self.detail / widths) ** power * np.minimum(1.0, self.broad / widths)
-        rates[widths < self.narrow] = 0
+        rates[1:][widths[1:] < self.narrow] = 0
         firsts = self.grid.firsts
         return [(int(firsts[i]), int(firsts[i + 1]), float(rate)) for i, rate in enumerate(rates)]
 

@@ -270,12 +270,13 @@ class StyledScene(Generic[Settings_co]):
 
     def new_adam(self) -> Optimizer:
         """An optimizer of the present colors, its moments at zero."""
-        color, side = self.field.color, 1.0  # of the cube that its cells divide
+        color, side = self.field.color, 1.0  # of its grid, in cube units
         if isinstance(color, RegionColor):
             side, color = color.side, color.own
         if isinstance(color, HashColor):
             color.detail_rate, color.detail, color.broad, narrow = self._rates_by_width()
-            color.narrow = narrow * color.finest / (side * self.pixel_cells())  # nan if nothing is seen: all learn
+            # nan if nothing is seen: all levels learn.
+            color.narrow = narrow * color.finest / (side * self.pixel_cells()) if narrow else 0.0
         return self.fixed.new_adam(self.settings.gradient_clip)
 
     def _rates_by_width(self) -> tuple[float, float, float, float]:

@@ -39,5 +39,7 @@ def test_levels_of_broad_cells_learn_the_more_slowly_the_wider_they_are(color):
 def test_levels_of_narrow_cells_do_not_learn(color):
     color.narrow = 2.0  # of the finest level's cells; those of 101 a side are 1.6 times as wide
     assert [rate for _, _, rate in color.groups()] == [1, 1, 1, 1, 0, 0]
+    color.narrow = 100.0  # all are narrower: a region of a few pixels
+    assert [rate for _, _, rate in color.groups()] == [1, 0, 0, 0, 0, 0]
     color.narrow = float("nan")  # nothing is seen
     assert {rate for _, _, rate in color.groups()} == {1.0}
