@@ -14,11 +14,11 @@ class ColorSpace:
 
     Attributes:
         interop_id: Its name in the attribute colorInteropID (ASWF Color Interop Forum).
-        chromaticities: CIE x, y of red, green, blue and white.
+        chromaticities: CIE x, y of red, green, blue and white: 8 numbers.
     """
 
     interop_id: str
-    chromaticities: tuple[float, float, float, float, float, float, float, float]
+    chromaticities: tuple[float, ...]
 
 
 REC709 = ColorSpace("lin_rec709_scene", (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290))

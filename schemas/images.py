@@ -14,6 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from schemas.atomic_write import refusal_of_disk, replacing
+from schemas.color_spaces import REC709, ColorSpace, matrix_between
 from schemas.errors import BadInput
 from schemas.native_output import native_output_silenced
 from schemas.safe_names import check_utf8
@@ -23,6 +24,7 @@ from schemas.safe_reading import allowance, check_allowance, opened
 LARGEST_IMAGE_MB = 2048
 SLOW_IMAGE_MB = 192  # JPEG 2000 and JPEG XL: a file of 2 kB can take minutes to decode
 BAND_BYTES = 4 << 20
+LARGEST_ENTRY = 100.0  # of a matrix from other primaries; real ones stay below 10
 _LIGHT = ("openexr", "hdr")
 _ASSOCIATED = ("tiff",)  # code values that may be premultiplied; the header says so
 _SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
@@ -41,11 +43,13 @@ class Image:
         pixels: [height, width, 1, 3 or 4] float32; 0..1 for integer formats, as stored for float formats.
         bits: Bits of each stored channel value: 8, 16 or 32.
         linear: True: linear light, premultiplied, as in EXR. False: code values with straight alpha, as in PNG.
+        chromaticities: CIE x, y of red, green, blue and white, where an EXR names them; () means Rec.709.
     """
 
     pixels: np.ndarray
     bits: int
     linear: bool = False
+    chromaticities: tuple[float, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -141,7 +145,9 @@ def read_image(path: Path | str, upright: bool = True) -> Image:
         pixels = _displayed(pixels, spec, path)
     if upright:
         pixels = _upright(pixels, spec.get_int_attribute("Orientation", 1))
-    return Image(pixels, spec.format.size() * 8, form in _LIGHT)
+    named = spec.getattribute("chromaticities") if form == "openexr" else ()
+    primaries = named if isinstance(named, tuple) and len(named) == len(REC709.chromaticities) else ()
+    return Image(pixels, spec.format.size() * 8, form in _LIGHT, primaries)
 
 
 def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
@@ -199,7 +205,7 @@ def _band(source: "oiio.ImageInput", spec: "oiio.ImageSpec", top: int, end: int)
 def read_srgb(path: Path | str, upright: bool = True) -> Image:
     """Read an image as read_image does, with linear light converted to sRGB code values 0..1 and straight alpha.
 
-    Light above 1 is clipped.
+    Light of other primaries than Rec.709's is converted to them. Light above 1 and colors beyond them are clipped.
     """
     image = read_image(path, upright)
     if not image.linear:
@@ -207,8 +213,24 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
     linear, alpha = image.pixels[..., :3], image.pixels[..., 3:].clip(0, 1)
     if image.channels == 4:
         linear = np.where(alpha > 0, linear / np.maximum(alpha, np.float32(1e-6)), 0)
+    if image.chromaticities and image.channels >= 3:
+        linear = _in_rec709(linear, image.chromaticities, path)
     coded = srgb_from_linear(linear).clip(0, 1)
     return Image(np.concatenate([coded, alpha], axis=2), image.bits)
+
+
+def _in_rec709(linear: np.ndarray, chromaticities: tuple[float, ...], path: Path | str) -> np.ndarray:
+    """Convert light [h, w, 3] of these primaries; BadInput if they are none."""
+    if np.allclose(chromaticities, REC709.chromaticities, atol=1e-4):
+        return linear
+    with np.errstate(all="ignore"):
+        try:
+            matrix = matrix_between(ColorSpace("", chromaticities), REC709)
+        except (np.linalg.LinAlgError, ValueError, ZeroDivisionError):
+            matrix = np.full((3, 3), np.nan)
+    if not np.abs(matrix).max() < LARGEST_ENTRY:
+        raise BadInput(f"{path} has chromaticities that are no colors; save it again")
+    return (linear @ matrix.T).astype(np.float32)
 
 
 def coverage(pixels: np.ndarray) -> np.ndarray:

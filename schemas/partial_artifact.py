@@ -109,13 +109,14 @@ class PartialArtifact:
             seconds = float(_stored(self.folder / "clock.json")["seconds"])
             known = {item.name: left[item.name] for item in fields(Recipe) if item.name in left}
             before = Recipe(**{**known, "inputs": [InputRef(**one) for one in left["inputs"]]})
-        except (ValueError, KeyError, TypeError):
+            sources, options = self.recipe.other_sources(before), self.recipe.other_options(before)
+        except (ValueError, KeyError, TypeError, AttributeError):
             return  # not resumable
         if seconds < EXPENSIVE_SECONDS or not self.path.is_dir():
             return
-        if sources := self.recipe.other_sources(before):
+        if sources:
             self.lost = f"{seconds / 60:.0f} min of work with {sources}"
-        elif options := self.recipe.other_options(before):
+        elif options:
             raise UnlikeInterrupted(self.kind, self.name, seconds, options)
 
     def _refuse_links(self) -> None:

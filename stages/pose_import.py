@@ -19,7 +19,7 @@ from schemas.work_folder import Artifact, PartialArtifact
 from stages.configs.pose_import import FRAMES, ImportConfig
 from stages.readers import found_in, read_source, splats
 from stages.readers.background import Background, Evidence, evidence_of
-from stages.readers.photo_folder import conversion, photos_of, unreadable_beside
+from stages.readers.photo_folder import conversion, photos_elsewhere, photos_of, unreadable_beside
 from stages.readers.photos import Developer, Sized, present, scale_of, scene_camera, sized
 from stages.readers.source import SourceCamera, SourceScene, natural, path_in_source, unused_masks, with_masks
 from stages.readers.transforms import lists_of
@@ -79,13 +79,13 @@ def _content(path: Path) -> str:
 
 
 SPEC = Spec(
-    stage="pose_import", verb="import", revision=7, writes="scene",
+    stage="pose_import", verb="import", revision=8, writes="scene",
     outside=lambda config: {
         "source_digest": digest_of_source(Path(config.source), config.format, config.images, config.cameras)
     },
 )  # fmt: skip
 FEWEST_PHOTOS = 2
-DEVELOPING_BYTES = 64  # per pixel: four channels of 4 bytes, and at most three copies of them
+DEVELOPING_BYTES = 72  # per pixel: four channels of 4 bytes, at most three copies of them, and the map of its lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +119,12 @@ def _source(config: ImportConfig, partial: PartialArtifact, context: Context) ->
             kinds = sorted({one.suffix for one in others})
             how = conversion(others[0].parent, kinds[0])
             context.progress.say(f"{len(others)} more photos cannot be read ({', '.join(kinds)}); {how}")
+        if not config.images and (elsewhere := photos_elsewhere(source, photos[0].parent)):
+            names = ", ".join(printable(str(one.relative_to(source))) for one in elsewhere[:3])
+            more = f" and {len(elsewhere) - 3} more" if len(elsewhere) > 3 else ""
+            context.progress.say(
+                f"not used, outside of {photos[0].parent}: {names}{more}; --images names another folder"
+            )
         scene = reconstructed(
             photos, source, partial.checkpoint, context, matching=config.matching, side=config.sfm_side,
             features=config.sfm_features, shared=config.one_camera,

@@ -45,8 +45,10 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
             raise BadInput(f"{where} is no USD file")
         # Whatever else such a file names would be opened too, from anywhere.
         if others := layer.GetCompositionAssetDependencies():
+            raise BadInput(f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat -f")
+        if clips := _value_clips(layer):
             raise BadInput(
-                f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat -f"
+                f"{where} takes values from other files (clips of {printable(clips)[:60]}); flatten it first"
             )
         stage = Usd.Stage.Open(layer)
         prim, size = _camera_of(stage, where)
@@ -63,6 +65,21 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
     if not math.isclose(unit, 1.0):
         remarks.append(f"{path.name} has units of {unit:g} m; its coordinates are taken as those of the scene's source")
     return CameraFile(cameras, tuple(remarks))
+
+
+def _value_clips(layer: Any) -> str:
+    """Return the path of a prim with value clips, which are no composition arcs but open files too; "" without any."""
+    from pxr import Sdf
+
+    found: list[str] = []
+
+    def look(path: Any) -> None:
+        spec = layer.GetObjectAtPath(path)
+        if spec is not None and any(map(spec.HasInfo, ("clips", "clipSets"))):
+            found.append(str(path))
+
+    layer.Traverse(Sdf.Path.absoluteRootPath, look)
+    return found[0] if found else ""
 
 
 def _camera_of(stage: Any, where: str) -> tuple[Any, tuple[int, int, float] | None]:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from schemas.canonical_json import digest_of
 from schemas.errors import ArtifactStale, StylerfError
+from schemas.manifest import MANIFEST
+from schemas.safe_reading import sound
 from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.artifacts.provenance import counted, is_stylized, original_scene
 from stages.artifacts.report import read_report
@@ -104,7 +106,9 @@ def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
                 family = family_of(artifact)
                 if family is None:
                     continue
-                run, group = _run(artifact, family, work, label, scenes)
+                with sound(artifact.path / MANIFEST, "sound options"):
+                    run, group = _run(artifact, family, work, label, scenes)
+                    hash(group)  # digests must be text
             except StylerfError as error:
                 gaps.append(Gap(f"{label}/{artifact.name}", f"Cannot be read: {error}"))
                 continue

@@ -63,6 +63,7 @@ def _transforms(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -
 def _camera_path(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> ExportedFile:
     to = job.placed("camera_path.json", camera_axes="OpenGL", fov="vertical, degrees", fps=job.config.fps)
     _say_of_centers(job, cameras, to.path)
+    _say_of_sizes(job, cameras, to.path)
     camera_lists.write_camera_path(job.folder / to.path, placed_cameras(cameras, to), job.config.fps)
     return to
 
@@ -80,6 +81,7 @@ def _chan(job: ExportJob, cameras: list[Camera], splits: dict[str, str]) -> Expo
         fov="vertical, degrees", fps=job.config.fps,
     )  # fmt: skip
     _say_of_centers(job, cameras, to.path)
+    _say_of_sizes(job, cameras, to.path)
     camera_lists.write_chan(job.folder / to.path, placed_cameras(cameras, to))
     return to
 
@@ -116,6 +118,12 @@ _WRITERS: dict[str, _Writer] = {
     "chan": _chan,
     "usd": _usd,
 }
+
+
+def _say_of_sizes(job: ExportJob, cameras: list[Camera], name: str) -> None:
+    """Say what a format loses that has one size for all pictures, or none."""
+    if len({(one.width, one.height) for one in cameras}) > 1:
+        job.say(f"{name} does not hold the different sizes of its views; transforms, colmap and 3dgs do")
 
 
 def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str, square: bool = True) -> None:

@@ -140,9 +140,14 @@ def polycam_folder(source: Path) -> Path | None:
     """Find the folder of Polycam's cameras and images, optimized if available, otherwise as recorded."""
     for folder in (source / "keyframes", source):
         for cameras, images in POLYCAM:
-            if (folder / images).is_dir() and any((folder / cameras).glob("*.json")):
+            if (folder / images).is_dir() and keyframes_in(folder / cameras):
                 return folder
     return None
+
+
+def keyframes_in(folder: Path) -> list[Path]:
+    """List the cameras in a folder of Polycam's, without the hidden files that macOS adds on foreign disks."""
+    return [path for path in folder.glob("*.json") if path.name[0] != "."]
 
 
 # Polycam's folders of cameras and images, in order of preference.

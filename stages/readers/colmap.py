@@ -33,7 +33,7 @@ def read(source: Path, images: str) -> SourceScene:
         kind += f" {largest.name}, of {len(models[largest].images)} photos ({others}; name another's folder for it)"
     root, below = _photos(source, largest)
     folder = image_folder(root, images) if images else below
-    scene = scene_of(models[largest], folder, root, kind, bool(images), above=root)
+    scene = scene_of(models[largest], folder, root, kind, bool(images), above=None if images else root)
     lists = lists_of(root, largest)
     cameras, skipped, remarks = with_splits(scene.cameras, lists)
     return replace(

@@ -1,13 +1,17 @@
 """A folder of plain photos: which files count, and what to report if none does."""
 
+import os
+import re
 import shlex
 from pathlib import Path
 
 from schemas.errors import BadInput
+from schemas.safe_names import printable
 from stages.readers.source import image_folder, images_in, natural
 from stages.readers.video import clips_of
 
 FOLDERS = ("images", "input", "photos")
+_NO_PHOTOS = re.compile(r"\.|masks(_\d+)?$|images_\d+$")  # names of folders
 UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
 
 
@@ -27,6 +31,9 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
         raise BadInput(f"{folder} holds only files of unsupported formats ({', '.join(foreign)}); {how}")
     if clips := clips_of(folder):
         raise BadInput(f"{folder} holds no photos, but video ({clips[0].name}); import it without --format photos")
+    if others := photos_elsewhere(source, folder):
+        inner = printable(str(others[0].parent.relative_to(source)))
+        raise BadInput(f"{folder} holds no photos, but {others[0].parent} does; give --images {inner}")
     raise BadInput(
         f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no video, no transforms.json, no COLMAP model "
         "(sparse/0) and no poses_bounds.npy; give a folder that has one of these"
@@ -47,12 +54,25 @@ def conversion(folder: Path, suffix: str) -> str:
 
 
 def folder_of(source: Path, images: str = "") -> Path:
-    """Return the folder of the photos: --images, else the source if it holds any, else one of FOLDERS in it."""
+    """Return the folder of the photos: --images, else that of the most photos among the source and FOLDERS in it."""
     if images:
         return image_folder(source, images)
-    if images_in(source):
-        return source
-    return next((source / name for name in FOLDERS if (source / name).is_dir()), source)
+    inner = [folder for name in FOLDERS if (folder := source / name).is_dir()]
+    most = max((source, *inner), key=lambda folder: len(images_in(folder)))
+    return most if images_in(most) else next(iter(inner), source)
+
+
+def photos_elsewhere(source: Path, chosen: Path) -> list[Path]:
+    """List the photos in and below `source` that are not in the chosen folder.
+
+    Masks, hidden folders, artifacts and smaller copies (images_2) do not count.
+    """
+    found: list[Path] = []
+    for place, below, files in os.walk(source):
+        below[:] = sorted(name for name in below if not _NO_PHOTOS.match(name) and "manifest.json" not in files)
+        if Path(place) != chosen and "manifest.json" not in files:
+            found += images_in(Path(place))
+    return found
 
 
 def _no_folder(source: Path) -> BadInput:

@@ -11,7 +11,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.safe_names import printable
 from schemas.safe_reading import read_json
-from stages.readers import POLYCAM, polycam_folder
+from stages.readers import POLYCAM, keyframes_in, polycam_folder
 from stages.readers.checked_values import number, size
 from stages.readers.listed_photos import Folder
 from stages.readers.source import SourceCamera, SourceScene, image_folder, natural, with_masks
@@ -26,9 +26,9 @@ def read(source: Path, images: str) -> SourceScene:
     if folder is None:
         raise BadInput(f"{source} holds no keyframes of Polycam; export its raw data")
     pairs = [(folder / cameras, folder / photos) for cameras, photos in POLYCAM]
-    of_cameras, of_photos = next((a, b) for a, b in pairs if b.is_dir() and any(a.glob("*.json")))
+    of_cameras, of_photos = next((a, b) for a, b in pairs if b.is_dir() and keyframes_in(a))
     photos = Folder(image_folder(source, images) if images else of_photos, None, str(of_cameras))
-    files = sorted(of_cameras.glob("*.json"), key=lambda path: natural(path.name))
+    files = sorted(keyframes_in(of_cameras), key=lambda path: natural(path.name))
     cameras = [_camera(path, photos) for path in files]
     return SourceScene(
         f"keyframes of Polycam ({of_cameras.name})", with_masks(cameras, source), rescalable=bool(images),

@@ -113,7 +113,10 @@ def is_file(path: Path) -> bool:
 def find_image(path: Path) -> Path | None:
     """Return the file at `path`, or the image of that name if the suffix is missing or of another case, or if accents
     are composed differently; None if there is none."""
-    spelled = dict.fromkeys([path, *(Path(unicodedata.normalize(form, str(path))) for form in ("NFC", "NFD"))])
+    parts, spelled = path.parts, {path: None}
+    for start in reversed(range(len(parts))):  # folders further up may be spelled otherwise than those below
+        for form in ("NFC", "NFD"):
+            spelled[Path(*parts[:start], *(unicodedata.normalize(form, part) for part in parts[start:]))] = None
     return next(filter(None, map(_spelled_so, spelled)), None)
 
 
@@ -201,7 +204,8 @@ def unused_masks(cameras: Iterable[SourceCamera], source: Path) -> list[Path]:
     found = []
     for folder in folders:
         for place, _, names in os.walk(folder):
-            pictures = [Path(place, name) for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES]
+            shown = (name for name in names if name[0] != ".")
+            pictures = [Path(place, name) for name in shown if Path(name).suffix.lower() in IMAGE_SUFFIXES]
             found += [one for one in pictures if _below(one) not in used]
     return sorted({Path(os.path.normpath(one)): None for one in found}, key=lambda one: natural(str(one)))
 

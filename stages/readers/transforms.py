@@ -2,6 +2,7 @@
 
 import os
 import re
+import unicodedata
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -46,13 +47,14 @@ def read(source: Path, images: str) -> SourceScene:
     """One transforms.json, or transforms_train.json and transforms_test.json (else _val) of a folder."""
     root = source.parent if source.is_file() else source
     cameras, kinds, skipped, remarks = [], set(), [], _other_lists(source)
+    taken: dict[Path, str] = {}
     for path, split in lists_of(source):
         content = _content(path)
         kinds.add(_kind(content))
         frames, left_out, lines = _frames(content, printable(str(path)), split)
         skipped += left_out
         remarks += lines
-        reader = _Frames(root, printable(str(path)), content, images)
+        reader = _Frames(root, printable(str(path)), content, images, taken)
         cameras += [reader.camera(index, frame, split) for index, frame, split in frames]
         remarks += reader.remarks(frames)
     remarks += [f"{count} frames left out: {why}" for why, count in Counter(why for _, why in skipped).items()]
@@ -183,10 +185,13 @@ def _listed(text: object, where: str) -> Path:
 
 
 class _Frames:
-    """Turns the frames of one file into cameras, and collects remarks for the user."""
+    """Turns the frames of one file into cameras, and collects remarks for the user.
 
-    def __init__(self, root: Path, path: str, content: dict, images: str) -> None:
-        self.root, self.path, self.content = root, path, content
+    taken: listed path by photo, of all files of a source.
+    """
+
+    def __init__(self, root: Path, path: str, content: dict, images: str, taken: dict[Path, str]) -> None:
+        self.root, self.path, self.content, self._taken = root, path, content, taken
         self.name = path.rpartition("/")[2]
         self.images = image_folder(root, images) if images else None
         self._undone, self._applied_scale = _undone(content, path)
@@ -200,6 +205,8 @@ class _Frames:
         where = f"{self.path}: frame {index}"
         listed = _listed(frame["file_path"], f"{where}: file_path")
         photo = self._photo(listed)
+        if photo:
+            self._take(photo, listed)
         numbers = Numbers(self.content, frame, where)
         intrinsics, angles = transforms_lens.intrinsics(numbers)
         size = self._size(numbers, listed, photo)
@@ -244,6 +251,15 @@ class _Frames:
         if self.images:
             return _copy_in(self.images, listed)
         return self._found(listed)
+
+    def _take(self, photo: Path, listed: Path) -> None:
+        """Refuse a photo that another listed path has too: it shows what only one of the cameras saw."""
+        path = unicodedata.normalize("NFC", os.path.normpath(bare(listed)))
+        if (other := self._taken.setdefault(photo, path)) != path:
+            raise BadInput(
+                f"{self.path}: {printable(other)} and {printable(path)} would both be the photo {photo}; put the "
+                "photos in folders as the list has them"
+            )
 
     def _found(self, listed: Path) -> Path | None:
         """Find the photo at its listed path; for an absolute path of another machine, by the end of it."""

@@ -57,7 +57,7 @@ def load_checkpoint(folder: Path, say: Callable[[str], None]) -> tuple[dict[str,
     for place, (_, digest, path) in enumerate(found):
         if file_sha256(path) == digest:
             arrays, metadata = load_tensors(path)
-            return parsed(metadata["state"], str(path), ArtifactDamaged), arrays
+            return parsed(metadata.get("state", ""), str(path), ArtifactDamaged), arrays
         rest = "using the one before it" if place + 1 < len(found) else "starting over"
         say(f"checkpoint {path.name[:6]} is damaged; {rest}")
     return None

@@ -13,6 +13,7 @@ from stylerf.geometry.lens_models import LENSES, tangent_of
 KINDS = ("brown", "fisheye", *LENSES)
 # A pinhole image cannot span 180 degrees: a fisheye is cropped at this slope, 63 degrees off the axis.
 WIDEST_SLOPE = 2.0
+BAND_ROWS = 64
 
 Intrinsics = tuple[float, float, float, float]  # fx, fy, cx, cy
 
@@ -185,6 +186,10 @@ def source_positions(
         [height, width, 2] float32, in pixels; pixel (i, j) has its center at (i + 0.5, j + 0.5).
     """
     width, height = size
-    rows, columns = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
-    ideal = np.stack([(columns - pinhole[2]) / pinhole[0], (rows - pinhole[3]) / pinhole[1]], axis=-1)
-    return (distortion.distort(ideal) * intrinsics[:2] + intrinsics[2:]).astype(np.float32)
+    positions = np.empty((height, width, 2), np.float32)
+    x = (np.arange(width) + 0.5 - pinhole[2]) / pinhole[0]
+    for top in range(0, height, BAND_ROWS):  # a lens model takes ten times the memory of its positions
+        y = (np.arange(top, min(top + BAND_ROWS, height)) + 0.5 - pinhole[3]) / pinhole[1]
+        ideal = np.stack(np.meshgrid(x, y), axis=-1)
+        positions[top : top + len(y)] = distortion.distort(ideal) * intrinsics[:2] + intrinsics[2:]
+    return positions

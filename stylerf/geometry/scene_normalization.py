@@ -15,6 +15,8 @@ from stylerf.geometry.cameras import Camera
 FORWARD_SPREAD = 25.0
 # Near plane of a forward capture, as a fraction of the nearest known depth; becomes 1 scene unit.
 FORWARD_NEAR = 0.75
+
+MOST_DEPTHS = 20_000_000  # of points in views, 0.7 GB: a percentile needs no more
 UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
 # Camera centers closer than this, relative to their largest coordinate, differ by rounding only: two steps of single
 # precision, in which many tools store poses. At the origin: rounding of rotations in double precision.
@@ -169,7 +171,8 @@ def nearest_depth(poses: np.ndarray, near_far: np.ndarray | None, points: np.nda
     if near_far is not None:
         return float(near_far[:, 0].min()), "the depth bounds in the files"
     if points is not None and len(points) >= 50:
-        depths = np.concatenate([(points - pose[:3, 3]) @ pose[:3, 2] for pose in poses])
+        some = points[:: -(-len(points) * len(poses) // MOST_DEPTHS)]
+        depths = np.concatenate([(some - pose[:3, 3]) @ pose[:3, 2] for pose in poses])
         if (depths > 0).mean() > 0.5:
             return float(np.percentile(depths[depths > 0], 0.5)), "the sparse points"
     return baseline_of(poses), "the baseline of the cameras"

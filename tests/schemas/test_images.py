@@ -9,6 +9,7 @@ import OpenImageIO as oiio
 import pytest
 
 from schemas import images, safe_reading
+from schemas.color_spaces import COLOR_SPACES, REC709, matrix_between
 from schemas.errors import BadInput, OutOfResources
 from schemas.images import (
     image_channels,
@@ -136,6 +137,32 @@ def test_light_becomes_code_values_without_alpha_in_them(tmp_path):
     np.testing.assert_allclose(read_srgb(colored).pixels, 0.5, atol=4e-3)  # eight bits a channel
     write_png(tmp_path / "a.png", noise(3, 4, 4))
     np.testing.assert_array_equal(read_srgb(tmp_path / "a.png").pixels, read_image(tmp_path / "a.png").pixels)
+
+
+def test_light_of_other_primaries_becomes_the_same_colors(tmp_path):
+    light = np.float32([[[0.5, 0.25, 0.1], [0.2, 0.2, 0.2]]])
+    plain = read_srgb(store(tmp_path / "plain.exr", light)).pixels
+    for space in COLOR_SPACES.values():
+        there = (light @ matrix_between(REC709, space).T).astype(np.float32)
+        path = tmp_path / f"{space.interop_id}.exr"
+        spec = oiio.ImageSpec(2, 1, 3, oiio.FLOAT)
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), space.chromaticities)
+        target = oiio.ImageOutput.create(str(path))
+        assert target.open(str(path), spec) and target.write_image(there) and target.close()
+        np.testing.assert_allclose(read_srgb(path).pixels, plain, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "chromaticities", [(0.3, 0.3) * 4, (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3, 0.0), (np.nan,) * 8]
+)
+def test_chromaticities_that_are_no_colors_are_refused(tmp_path, chromaticities):
+    spec = oiio.ImageSpec(2, 1, 3, oiio.FLOAT)
+    spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), chromaticities)
+    target = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
+    assert target.open(str(tmp_path / "a.exr"), spec)
+    assert target.write_image(np.ones((1, 2, 3), np.float32)) and target.close()
+    with pytest.raises(BadInput, match="chromaticities that are no colors"):
+        read_srgb(tmp_path / "a.exr")
 
 
 @pytest.mark.parametrize(("left", "top"), [(2, 1), (-1, -2), (5, 3), (-9, 0)])

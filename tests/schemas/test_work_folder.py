@@ -247,6 +247,15 @@ def test_damaged_recipe_starts_afresh(tmp_path):
     assert not WorkFolder(tmp_path).begin("field", "fox", recipe()).resumed
 
 
+def test_an_unsound_recipe_starts_afresh(tmp_path):
+    first = WorkFolder(tmp_path).begin("field", "fox", recipe())
+    content = json.loads((first.folder / "recipe.json").read_text())
+    (first.folder / "recipe.json").write_text(json.dumps(content | {"config": [], "run": "x"}))
+    (first.folder / "clock.json").write_text('{"seconds": 1e6}')
+    first.release()
+    assert not WorkFolder(tmp_path).begin("field", "fox", recipe()).resumed
+
+
 @pytest.mark.parametrize("added", ["comp.nk", "sub/retouched.exr"])
 def test_what_no_run_wrote_is_not_deleted_with_what_is_replaced(tmp_path, added):
     work = WorkFolder(tmp_path)

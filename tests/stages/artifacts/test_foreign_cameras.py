@@ -30,6 +30,9 @@ def refusal(path, scene) -> str:
 GAUSSIAN = {"position": [0, 0, 0], "rotation": np.eye(3).tolist(), "width": 8, "height": 6, "fx": 9.0, "fy": 9.0}
 
 
+CLIPS = 'def "x" (clips = { dictionary default = { asset[] assetPaths = [@/etc/other.usda@] } }) '
+
+
 @pytest.mark.parametrize(
     "change, said",
     [
@@ -164,6 +167,11 @@ def test_a_camera_on_a_moving_scaled_rig_is_followed(scene, tmp_path, up):
         ({"more": 'def Camera "other" {{}}'.replace("{{}}", "{\n}")}, "has 2 cameras"),
         ({"more": 'def "x" (references = @/etc/passwd@</a>)\n{\n}'}, "refers to other files"),
         ({"more": 'def "x" (payload = @other.usda@)\n{\n}'}, "refers to other files"),
+        ({"more": f"{CLIPS}{{\n}}"}, "values from other files (clips of /rig/x)"),
+        (
+            {"more": f'def "y" (variantSets = "v") {{\nvariantSet "v" = {{\n"a" {{\n{CLIPS}{{\n}}\n}}\n}}\n}}'},
+            "clips of /rig/y",
+        ),
         ({"end": "1e9"}, "shot.usda lists"),
         ({"up": "X"}, "has X as its up axis, expected Y or Z"),
         ({"text": '#usda 1.0\ndef Camera "c"\n{{\nfloat focalLength = None\n}}'}, "0: focalLength is None, expected"),

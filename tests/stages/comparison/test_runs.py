@@ -168,6 +168,17 @@ def test_metrics_of_other_networks_or_protocols_stay_apart(work):
     assert (row["ref_lpips"], row["ref_lpips_protocol"], row["ref_lpips_count"]) == (0.7, "by <hand>", 3)
 
 
+@pytest.mark.parametrize(
+    "unsound", [{"style": "", "reference": 5}, {"style": "", "reference": [1]}, {"style_digest": [2]}]
+)
+def test_unsound_options_of_a_run_leave_the_others(work, unsound):
+    scene, base = work.get("scene", "wall"), work.get("field", "fit-10s")
+    runs.stylized(work, scene, base, "odd", 20.0, STYLE, **unsound)
+    by_name, gaps = found(work)
+    assert "odd" not in by_name and "starry-arf" in by_name
+    assert [gap.what for gap in gaps if "does not hold sound options" in gap.why] == ["room/odd"]
+
+
 def test_no_two_groups_look_alike():
     assert len({group_style(place) for place in range(28)}) == len({group_style(place)[0] for place in range(28)}) == 28
 

@@ -3,13 +3,14 @@
 import json
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from schemas.scene import read_scene, write_scene
+from schemas.scene import Scene, read_scene, write_scene
 from schemas.work_folder import Artifact, Recipe, WorkFolder
 from stages import render
 from stages.artifacts.camera_files import read_cameras
@@ -41,11 +42,16 @@ def bent(scene, tmp_path) -> Artifact:
         replace(view, fx=view.fx * (1 + 0.1 * index), cx=view.cx + 3.25, cy=view.cy - 1.5)
         for index, view in enumerate(content.views)
     ]
-    begun = WorkFolder(tmp_path / "bent").begin("scene", "main", Recipe("pose_import", 1, {}, []))
-    for view in views:
+    return rewritten(scene, replace(content, views=tuple(views)), tmp_path / "bent")
+
+
+def rewritten(scene: Artifact, content: Scene, root: Path) -> Artifact:
+    """The scene with other content, in a work folder of its own."""
+    begun = WorkFolder(root).begin("scene", "main", Recipe("pose_import", 1, {}, []))
+    for view in content.views:
         (begun.path / view.image).parent.mkdir(exist_ok=True)
         (begun.path / view.image).write_bytes((scene.path / view.image).read_bytes())
-    write_scene(begun.path, replace(content, views=tuple(views)))
+    write_scene(begun.path, content)
     return begun.commit()
 
 
@@ -85,6 +91,17 @@ def test_what_a_format_cannot_hold_is_said(bent, tmp_path, format):
     # Pixels are up to 30 % wider than high, principal points 3.25 pixels off.
     off = "3.2 pixels" if format == "3dgs" else "14 pixels"
     assert any("no principal point" in line and off in line for line in said.lines)
+
+
+@pytest.mark.parametrize("format", ["camera-path", "chan"])
+def test_one_size_for_views_of_several_is_said(scene, tmp_path, format):
+    content = read_scene(scene.path)
+    views = (replace(content.views[0], width=36, height=48), *content.views[1:])
+    made = rewritten(scene, replace(content, views=views), tmp_path / "sizes")
+    for one, lines in ((scene, 0), (made, 1)):
+        said = Said()
+        exported(tmp_path / format / str(lines), {"scene": one}, said, kind="cameras", formats=format)
+        assert sum("does not hold the different sizes" in line for line in said.lines) == lines
 
 
 @pytest.mark.parametrize("format", ["transforms", "colmap"])

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from schemas.errors import BadInput
+from stages.readers import read_source
 from tests.stages import dots
 from tests.stages.importing import Said, imported, scene_of
 from tests.stages.table import rows_of
@@ -257,6 +258,17 @@ def test_said(capture, tmp_path, row):
     assert any(words in line for line in said.lines), said.lines
     assert len(scene_of(made).views) == count
     assert dots.error(made) < 0.15
+
+
+def test_the_folder_of_images_replaces_that_of_the_listed_names(capture, tmp_path):
+    """Where names begin with images/, a photo that --images lacks is missing: the one in images/ has another size."""
+    names_of("images/")(capture)
+    for name in NAMES[:5]:
+        target = capture / "images_2" / name
+        target.parent.mkdir(exist_ok=True)
+        target.write_bytes((capture / "images" / name).read_bytes())
+    found = read_source(capture, "colmap", "images_2")
+    assert [one.image and one.image.parent.name for one in found.cameras] == ["images_2"] * 5 + [None]
 
 
 # -- what is refused ---------------------------------------------------------------------------------------------------

@@ -235,6 +235,10 @@ READ = {
     "opensfm-in-odm": lambda root: opensfm(root, place="opensfm/reconstruction.json"),
     "polycam": polycam,
     "polycam-corrected": corrected,
+    "polycam-copied-by-macos": lambda root: (
+        polycam(root),
+        (root / "keyframes/cameras/._000.json").write_bytes(b"\0\5\26\7\xb0"),
+    ),
     "record3d": record3d,
     "record3d-each-frame": lambda root: record3d(root, each=True),
     "record3d-exr": lambda root: record3d(root, "EXR_RGBD"),

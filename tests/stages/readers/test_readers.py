@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,7 @@ from stages.pipeline.prerequisites import import_config
 from stages.pose_import import digest_of_source, import_scene
 from stages.readers import read_source
 from stages.readers.listed_photos import Folder
-from stages.readers.photo_folder import photos_of
+from stages.readers.photo_folder import photos_elsewhere, photos_of
 from stages.readers.source import SourceCamera, find_image, natural, with_masks
 from stages.run.progress import Context
 from tests.stages.importing import Said, imported, scene_of
@@ -177,6 +178,34 @@ def test_copies_of_photos_are_found_by_their_folders_or_their_names(source, tmp_
     capture.write_transforms(source, content)
     scene = scene_of(imported(source, tmp_path / "work", images=str(tmp_path / "small")))
     assert [view.source for view in scene.views] == [f"../images/{name}.png" for name in names]
+
+
+def test_accents_of_a_folder_above_may_be_composed_otherwise(tmp_path):
+    for form, other in (("NFC", "NFD"), ("NFD", "NFC")):
+        folder = tmp_path / unicodedata.normalize(form, "josé") / "capture"
+        folder.mkdir(parents=True)
+        photo = folder / unicodedata.normalize(other, "fotografía.png")
+        photo.touch()
+        assert find_image(folder / unicodedata.normalize(form, "fotografía.png")) == photo
+
+
+# -- folders of photos -------------------------------------------------------------------------------------------------
+
+
+def test_the_folder_of_most_photos_is_taken_and_the_others_are_named(posed, tmp_path):
+    (posed / "transforms.json").unlink(missing_ok=True)
+    for place in ("preview.png", "images/detail/p08.png", "masks/p00.png", "images_2/p00.png", ".trash/p07.png"):
+        write_png(posed / place, np.full((36, 48, 3), 90, np.uint8))
+    photos = photos_of(posed)
+    assert {photo.parent for photo in photos} == {posed / "images"} and len(photos) == 4
+    others = photos_elsewhere(posed, posed / "images")
+    assert [one.relative_to(posed).as_posix() for one in others] == ["preview.png", "images/detail/p08.png"]
+
+
+def test_photos_in_folders_below_are_named_where_none_is_found(tmp_path):
+    write_png(tmp_path / "images" / "cam1" / "p.png", np.full((36, 48, 3), 90, np.uint8))
+    with pytest.raises(BadInput, match=r"images holds no photos, but .*cam1 does; give --images images/cam1$"):
+        photos_of(tmp_path)
 
 
 # -- masks -------------------------------------------------------------------------------------------------------------
@@ -340,7 +369,7 @@ def test_a_source_whose_name_is_not_utf8_is_refused_and_such_a_file_beside_the_p
 def test_photos_left_out_may_have_any_name(posed, tmp_path):
     source = replace(read_source(posed), skipped=(("caf\udce9.HEIC", "unsupported format"),))
     config = import_config(posed)
-    partial = WorkFolder(tmp_path / "work").begin("scene", "main", Recipe("pose_import", 7, {}, []))
+    partial = WorkFolder(tmp_path / "work").begin("scene", "main", Recipe("pose_import", 8, {}, []))
     figures = import_scene(source, config, partial, Context())
     made = partial.commit(figures=figures)
     assert [one.source for one in scene_of(made).skipped] == made.manifest.figures["skipped"] == ["caf\\udce9.HEIC"]

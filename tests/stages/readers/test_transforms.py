@@ -309,6 +309,16 @@ def _(source, tmp_path):
     assert [(one.source, one.reason) for one in scene.skipped] == [("./images/p00.png", "listed twice")]
 
 
+@row("path-shared")
+def _(source, tmp_path):
+    for place, prefix, images in (("small", "", "small"), ("", "/data/", "")):
+        for number in range(2):
+            write_png(source / place / f"p0{number}.png", np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+        content = with_paths(*(f"{prefix}{name}.png" for name in ("a/p00", "a/p01", "b/p00", "b/p01")))
+        line = refusal(source, content, images=images)
+        assert f"{prefix}a/p00 and {prefix}b/p00 would both be the photo" in line
+
+
 @row("path-missing")
 def _(source, tmp_path):
     (source / "images" / "p01.png").unlink()

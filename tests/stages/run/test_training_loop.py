@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from schemas.canonical_json import file_sha256
-from schemas.errors import BadInput
+from schemas.errors import ArtifactDamaged, BadInput
+from schemas.tensors import save_tensors_with_digest
 from stages.run import training_loop
 from stages.run.progress import Context, Silent
 from stages.run.training_loop import load_checkpoint, run_training, save_checkpoint
@@ -37,6 +38,13 @@ def test_the_last_two_are_kept_and_named_by_what_they_hold(tmp_path):
     assert all(file_sha256(path) == path.stem[7:] for path in kept)
     data, arrays = load_checkpoint(tmp_path, pytest.fail)
     assert data == {"step": 4} and arrays["values"].tolist() == [4] * 1000 and len(arrays["more"]) == 4
+
+
+def test_a_checkpoint_without_a_state_is_damaged(tmp_path):
+    digest = save_tensors_with_digest(tmp_path / "x", {"values": np.ones(3)}, {})
+    (tmp_path / "x").rename(tmp_path / f"000001-{digest}.safetensors")
+    with pytest.raises(ArtifactDamaged):
+        load_checkpoint(tmp_path, pytest.fail)
 
 
 @pytest.mark.parametrize("at", [3, 50, 2000, -1])

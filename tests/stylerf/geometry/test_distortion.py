@@ -1,6 +1,7 @@
 """Lens distortion against OpenCV's formulas written as a slow loop, and against COLMAP's cameras."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pycolmap
@@ -109,6 +110,20 @@ def test_the_pinhole_shows_no_blank_and_wastes_little(model):
     camera = pycolmap.Camera(model=model, width=SIZE[0], height=SIZE[1], params=MODELS[model])
     expected = camera.img_from_cam(np.array([[x, y, 1.0]]))[0]
     np.testing.assert_allclose(positions[70, 30], expected, atol=1e-4)
+
+
+def test_the_map_of_a_lens_takes_little_more_memory_than_itself():
+    intrinsics, warp = distortion.from_colmap("FULL_OPENCV", MODELS["FULL_OPENCV"])
+    tracemalloc.start()
+    positions = distortion.source_positions((600, 2000), intrinsics, intrinsics, warp)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 2 * positions.nbytes
+    # Bands of rows join without a seam.
+    rows = np.array([63.5, 64.5])
+    ideal = np.stack([np.full(2, 100.5 - intrinsics[2]) / intrinsics[0], (rows - intrinsics[3]) / intrinsics[1]], -1)
+    expected = warp.distort(ideal) * intrinsics[:2] + intrinsics[2:]
+    np.testing.assert_allclose(positions[63:65, 100], expected, rtol=1e-6)
 
 
 def test_faults_are_reported():

@@ -1,5 +1,6 @@
 """Layout, normalizing similarity, bounds and visual hull on captures whose answers are known."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -137,6 +138,18 @@ def test_nearest_depth_prefers_what_is_reported_then_points():
     near, known = scene_normalization.nearest_depth(poses, None, points)
     assert 22.5 < near < 23.5 and "points" in known  # cameras stand at y = -3, the points begin at y = 20
     assert "baseline" in scene_normalization.nearest_depth(poses, None, None)[1]
+
+
+def test_many_points_in_many_views_take_little_memory(monkeypatch):
+    poses = np.concatenate([poses_of(forward())] * 9)
+    points = np.random.default_rng(0).uniform([-5, 20, -5], [5, 40, 5], (20_000, 3))
+    exact, _ = scene_normalization.nearest_depth(poses, None, points)
+    monkeypatch.setattr(scene_normalization, "MOST_DEPTHS", 20_000)
+    tracemalloc.start()
+    near, _ = scene_normalization.nearest_depth(poses, None, points)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert near == pytest.approx(exact, rel=0.02) and peak < 2e6  # all depths would take 60 MB
 
 
 def ball(camera, radius, center=FOCUS):
