@@ -43,11 +43,12 @@ from stylerf.training.fit.settings import (
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=19, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=20, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
 FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
+BRIEF_SECONDS, BRIEF_STEPS = 60.0, 3000  # on a CPU, less is better spent on coarser colors (decision 0067)
 FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of five levels
 # In a contraction, steps after which levels end at the latest (FitSettings).
 LEVEL_MAX_STEPS = (350, 850, 1350, 1900)
@@ -216,7 +217,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         prunings=tuple(name for name in FitSettings.prunings if name != "degree" or scene.layout == "object"),
         # An object's light differs from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
-        **_levels_of(fixed, kinds, space, max(max(camera.width, camera.height) for camera in scene.cameras)),
+        **_levels_of(fixed, kinds, space, scene, brief=not device and _is_brief(seconds, steps)),
     )
 
 
@@ -228,6 +229,10 @@ def _smoothness(config: FitConfig, scene: SceneData) -> float:
     return SMOOTHNESS[scene.layout] * max(1.0, few)
 
 
+def _is_brief(seconds: float, steps: int) -> bool:
+    return seconds < BRIEF_SECONDS if seconds else steps < BRIEF_STEPS
+
+
 def _cpu_samples(seconds: float) -> int:
     """Samples per step: many small steps for a short time, large ones against noise for a long one (decision 0059).
 
@@ -236,8 +241,10 @@ def _cpu_samples(seconds: float) -> int:
     return int(np.clip(1000 * seconds, 30_000, 90_000)) if seconds else 90_000
 
 
-def _levels_of(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, pixels: int) -> dict:
-    """Settings of the capacity levels. pixels: the longest side of the photos."""
+def _levels_of(
+    fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, scene: SceneData, brief: bool
+) -> dict:
+    """Settings of the capacity levels. brief: there is no time for the finest colors of a capture."""
     contraction, four = space.kind == "contraction", FitSettings.level_ends
     # In a contraction, a coarse grid trained longer learns wrong geometry; elsewhere it overfits less.
     more = {"level_max_steps": LEVEL_MAX_STEPS if contraction else ()}
@@ -245,7 +252,8 @@ def _levels_of(fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWar
         levels = _fixed_levels(*fixed, first_color=16 if kinds.head == "linear" else fixed[2])
         levels = cells_for(levels, space.kind)
         return {"levels": levels, "level_ends": four[: len(levels) - 1], **more}
-    levels = cells_for(levels_for(kinds, space.kind, pixels), space.kind)
+    pixels = max(max(camera.width, camera.height) for camera in scene.cameras)
+    levels = cells_for(levels_for(kinds, space.kind, pixels, brief), space.kind)
     return {"levels": levels, "level_ends": four if len(levels) == len(four) else FIVE_LEVEL_ENDS, **more}
 
 

@@ -41,10 +41,11 @@ def ends_in_time(requested) -> bool:
     )
 
 
-def test_a_density_in_a_contraction_may_grow_finer_than_its_color():
+def test_a_density_in_a_contraction_grows_finer_and_in_a_short_time_its_color_does_not():
     requested = settings(SPACES["contraction"])
     assert [level.resolution for level in requested.levels] == [64, 128, 192, 384]
-    assert requested.levels[-1].color.resolution == 256
+    assert requested.levels[-1].color.resolution == 384
+    assert settings(SPACES["contraction"], budget="30s").levels[-1].color.resolution == 256
     assert [level.density_rank for level in requested.levels] == [8, 16, 16, 8]
     assert len(requested.level_ends) == len(requested.level_max_steps) == len(requested.levels) and ends_in_time(
         requested
@@ -152,6 +153,17 @@ def test_batches_grow_with_the_time_there_is_unless_their_size_is_given():
     assert all(fit_settings(FitConfig(samples=2000), SCENE, space, device).samples == 2000 for device in (None, "cuda"))
     with pytest.raises(ValueError, match="samples must be 1000 or more"):
         FitConfig(samples=999)
+
+
+@pytest.mark.parametrize(
+    ("budget", "device", "finest"),
+    [("59s", None, 256), ("60s", None, 352), ("2999", None, 256), ("3000", None, 352), ("5s", "cuda", 352)],
+)
+def test_colors_of_a_forward_facing_capture_get_finer_where_there_is_time(budget, device, finest):
+    scene = SimpleNamespace(**vars(SCENE) | {"layout": "forward"})
+    requested = fit_settings(FitConfig(budget=budget), scene, SPACES["frustum"], device)
+    assert requested.levels[-1].color.resolution == finest
+    assert len(requested.level_ends) == len(requested.levels) and ends_in_time(requested)
 
 
 @pytest.mark.parametrize("kind", ["white", "black", "none", "random"])

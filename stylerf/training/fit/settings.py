@@ -76,26 +76,38 @@ LEVELS = (
 FULL = CapacityLevel(256, 8, table_bits=18)
 # For photos of an object that hold more detail than FULL can: 1 dB on lego at 800x800 after 300 s (decision 0040).
 LARGE = CapacityLevel(384, table_bits=18)
-# A contraction spends half of each axis on the center, where a finer density still helps.
-BEYOND = CapacityLevel(384, 8, table_bits=18, color_resolution=256)
+# A contraction spends half of each axis on the center, where a finer density still helps. BRIEF: for a short budget.
+BEYOND = CapacityLevel(384, 8, table_bits=18)
+BEYOND_BRIEF = replace(BEYOND, color_resolution=256)
 
-# For photos of a forward-facing capture that hold more detail than the colors of FULL can (decision 0055).
+# The last level of a forward-facing capture, finer in its colors than FULL (decision 0067); SHARP: for photos that hold
+# more detail (decision 0055).
+FINE = replace(FULL, color_resolution=352)
 SHARP = replace(FULL, color_resolution=480)
 
 # Cells per side of a capture's occupancy grid, from levels of this resolution on.
 CAPTURE_CELLS, FINER_FROM = 128, 192
 
 
-def levels_for(kinds: Kinds, space: str, pixels: int) -> tuple[CapacityLevel, ...]:
-    """The levels that a fit tries. space: kind of its warp. pixels: longest side of the photos."""
+def levels_for(kinds: Kinds, space: str, pixels: int, brief: bool = False) -> tuple[CapacityLevel, ...]:
+    """The levels that a fit tries.
+
+    Args:
+        kinds: Of the field's parts.
+        space: Kind of its warp.
+        pixels: Longest side of the photos.
+        brief: Whether there is no time for the finest colors of a capture.
+    """
     if kinds.head != "linear":
         # The network behind the color has one width, so that the first level needs all ranks.
         return (replace(LEVELS[0], color_rank=FULL.color_rank), *LEVELS[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
         # 256^3 seems to gain nothing, although 384^3 then would (decision 0060).
-        return (*LEVELS[:3], BEYOND)
+        return (*LEVELS[:3], BEYOND_BRIEF if brief else BEYOND)
     if kinds.color == "vm" and space == "frustum" and pixels >= 3 * FULL.resolution:
         return (*LEVELS[:3], FULL, SHARP)
+    if kinds == Kinds("hash") and space == "frustum" and not brief:
+        return (*LEVELS[:3], FULL, FINE)
     if kinds == Kinds() and space == "box" and pixels >= 2 * FULL.resolution:
         return (*LEVELS[:3], FULL, LARGE)
     lean = kinds == Kinds() and (space == "frustum" or pixels < 2 * LEVELS[-1].color_resolution)
