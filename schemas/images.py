@@ -230,7 +230,8 @@ def _in_rec709(linear: np.ndarray, chromaticities: tuple[float, ...], path: Path
             matrix = np.full((3, 3), np.nan)
     if not np.abs(matrix).max() < LARGEST_ENTRY:
         raise BadInput(f"{path} has chromaticities that are no colors; save it again")
-    return (linear @ matrix.T).astype(np.float32)
+    converted: np.ndarray = (linear @ matrix.T).astype(np.float32)
+    return converted
 
 
 def coverage(pixels: np.ndarray) -> np.ndarray:
