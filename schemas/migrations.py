@@ -44,10 +44,13 @@ RENAMED_VALUES = {
     "stage": {"recolour": "recolor", "fault_scene": "corrupt_scene"},
     "unit": {"share": "fraction"},
 }
+BY_VIEW = ("exposure_stops", "views")  # objects whose keys are names of views
 
 
 def renamed_in_3(value: Any, key: str = "") -> Any:
     """A JSON value of schema 2 with the keys, and the values of known keys, that schema 3 uses."""
+    if isinstance(value, dict) and key in BY_VIEW:
+        return {name: renamed_in_3(item) for name, item in value.items()}
     if isinstance(value, dict):
         return {_key_in_3(name): renamed_in_3(item, _key_in_3(name)) for name, item in value.items()}
     if isinstance(value, list):

@@ -22,7 +22,7 @@ from stylerf.kernels.cpu.compiling import set_threads
 EXPORT_FILE = "export.json"
 SPEC = Spec(
     stage="export", verb="export", revision=2, writes="export",
-    outside=lambda config: {"path_digest": pinned(config).path_digest},
+    outside=lambda config: {"path_digest": digest_of_cameras(Path(config.along))} if config.path_digest else {},
 )  # fmt: skip
 
 

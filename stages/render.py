@@ -46,7 +46,7 @@ from stylerf.rendering.view import RenderedView, depth_picture, displacement_pic
 
 SPEC = Spec(
     stage="render", verb="render", revision=6, writes="frames",
-    outside=lambda config: {"path_digest": pinned(config).path_digest},
+    outside=lambda config: {"path_digest": digest_of_cameras(Path(config.path))} if config.path_digest else {},
 )  # fmt: skip
 Rendered = tuple[RenderedView, DeepView | None]
 Renderer = Callable[[Camera, Mapping[str, np.ndarray]], Rendered]

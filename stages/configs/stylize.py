@@ -40,7 +40,7 @@ class StylizeConfig:
     color_weight: float = option(
         -1.0,
         help="weight of the squared color difference from the photos (-1: 1; nearest, gram: 10, or 1 where desrf "
-        "deforms an object; refnpr: 5)",
+        "deforms an object; refnpr: 5; with --keep-colors: 10)",
     )
     match_by: str = option(
         "transport",
@@ -150,6 +150,8 @@ class StylizeConfig:
             raise ValueError("rollbacks and gradient_clip must not be negative, min_spread in 0..0.25")
         if self.keep_colors and (self.match != "auto" or self.references):
             raise ValueError("--keep-colors matches the style image to the photos; leave --match and --reference out")
+        if self.keep_colors and self.max_gain != StylizeConfig.max_gain:
+            raise ValueError("--max-gain limits color matching, which --keep-colors leaves out; leave it out")
         if self.diversity < 0:
             raise ValueError("diversity must not be negative")
         if self.match_by == "nearest" and self.diversity != StylizeConfig.diversity:
@@ -222,6 +224,9 @@ class ArfConfig(StylizeConfig):
             raise ValueError("dilation must be at least 1")
         if self.blur < 0 or (self.blur > 0 and self.blur % 2 == 0):
             raise ValueError("blur must be odd, or 0 for none: an even box would shift the image by half a pixel")
+        every_ray = self.rays in ("full", "deferred") or (self.rays == "auto" and not isinstance(self, DesrfConfig))
+        if every_ray and (self.dilation, self.blur, self.remember) != (ArfConfig.dilation, ArfConfig.blur, True):
+            raise ValueError("--dilation, --blur and --no-remember need --rays dilated, random or patch")
 
 
 @dataclass(frozen=True)

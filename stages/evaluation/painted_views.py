@@ -8,7 +8,7 @@ import numpy as np
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, sources_of
 from stages.artifacts.style_images import read_style_image
-from stages.configs.stylize import ArfConfig, StylizeConfig
+from stages.configs.stylize import ArfConfig, DesrfConfig, SnerfConfig, StylizeConfig
 from stages.evaluation.test_views import Photo
 from stages.stylization.settings import image_layers, settings_of
 from stages.weights.resolve import resolve
@@ -17,7 +17,10 @@ from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.stylize.painted_photo import painted_photo
 from stylerf.training.stylize.settings import ImageStyleSettings
 
-SHARED = frozenset(item.name for item in fields(StylizeConfig)) - {"method", "style", "style_digest", "features_digest"}
+# Options that concern images, and the methods with defaults of their own for them; the others paint as ARF does.
+OF_IMAGES = {item.name for item in fields(StylizeConfig)} | {"image_by"}
+OF_IMAGES -= {"method", "style", "style_digest", "features_digest", "budget"}
+PAINTERS: dict[str, type[StylizeConfig]] = {"desrf": DesrfConfig, "snerf": SnerfConfig}
 
 
 class PaintedViews:
@@ -29,7 +32,7 @@ class PaintedViews:
         resolved = resolve(features or self.config.features or None)
         self.extractor = FeatureExtractor(resolved.state, image_layers(self.config, resolved.state), resolved.kind)
         self.extractor.to(device)
-        self.style_image, self.seed = read_style_image(style), seed
+        self.style_image, self.seed = read_style_image(style, self.config.keep_frame), seed
 
     def painted(self, photo: Photo, background: float, steps: int) -> np.ndarray:
         """A photo painted in `steps` steps, [h, w, 3] sRGB; BadInput if it is too small."""
@@ -43,12 +46,14 @@ class PaintedViews:
             raise BadInput(f"--ceiling: {error}") from error
 
 
-def options_of(field: Artifact | None, style: Path) -> ArfConfig:
+def options_of(field: Artifact | None, style: Path) -> StylizeConfig:
     """The options of the last stylization of a field that concern images; the defaults if none is known."""
     behind = [] if field is None else [field, *sources_of(field, ("field",))]
     made = next((one for one in behind if one.manifest.stage == "stylize"), None)
-    known = {} if made is None else {key: value for key, value in made.manifest.config.items() if key in SHARED}
+    config = {} if made is None else made.manifest.config
     try:
-        return ArfConfig(style=str(style), **known)
+        painter = PAINTERS.get(config.get("method", ""), ArfConfig)
+        own = OF_IMAGES & {item.name for item in fields(painter)}
+        return painter(style=str(style), **{key: value for key, value in config.items() if key in own})
     except (TypeError, ValueError):  # options of another version, or of references
         return ArfConfig(style=str(style))

@@ -72,7 +72,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     stylized = made(stylize, {"scene": scene, "field": start}, look, f"painting-{config.method}")
 
     def frames(field: Artifact, path: str, **options: Any) -> Artifact:
-        wanted = RenderConfig(path=path, **options)
+        wanted = render.pinned(RenderConfig(path=path, **options))
         return made(render, {"scene": scene, "field": field}, wanted, f"{field.name}-{path}")
 
     fit_test, style_test = frames(fit, "test"), frames(stylized, "test")

@@ -39,6 +39,7 @@ def evaluated(
     from stages import evaluate
     from stages.artifacts.provenance import field_unstylized, is_stylized
     from stages.evaluate import pinned
+    from stages.evaluation.perceptual_metrics import style_file
     from stages.evaluation.reference_metrics import check_references
     from stages.evaluation.test_views import SceneViews
 
@@ -48,7 +49,7 @@ def evaluated(
         )
     field = field_named(runner, field_name)
     # Refuse what cannot work before minutes of rendering.
-    config = pinned(config, field)
+    given, config = config, pinned(config, field)
     if (against.robust_to or config.reference) and not is_stylized(field):
         raise UsageError(f"--reference and --robust-to need a stylized field; {field.name} is not one")
     if config.ceiling and (against.regions or config.masks):
@@ -62,10 +63,16 @@ def evaluated(
     for one in runner.work.artifacts("frames"):
         if fault := _fault_of(one):
             runner.say(f"skipping frames {one.name}: {fault}")
-    video = frames_along(runner, field, against.path) if against.path else newest_video(runner.work, field)
-    if video is None and config.flow:
+    video = None if against.path else newest_video(runner.work, field)
+    if config.flow and not against.path and video is None:
         raise UsageError("--flow belongs to frames along a camera path, and there are none; give --path")
+    for line in _unused(given, styled=style_file(given, field) is not None, edit=base is not None,
+                        path=bool(against.path) or video is not None):  # fmt: skip
+        runner.say(line)
+    # Of the test views first: a scene may have none.
     inputs = {"scene": scene, "field": field, "frames": frames_along(runner, field, "test")}
+    if against.path:
+        video = frames_along(runner, field, against.path)
     if video is not None:
         inputs["path_frames"] = video
     if is_stylized(field) and (unstylized := field_unstylized(field)) is not None:
@@ -75,6 +82,23 @@ def evaluated(
     if base is not None:
         inputs |= _edit_inputs(runner, field, base, regions, config.train_views)
     return runner.run(evaluate.SPEC, evaluate.run, inputs, config, field.name, request)
+
+
+def _unused(config: EvaluateConfig, styled: bool, edit: bool, path: bool) -> list[str]:
+    """Return a line for each kind of options that were given and have no effect here."""
+    kinds = (
+        (styled, ("features", "style_side"), "a style image; name one with --style"),
+        (edit, ("margin", "ring"), "a local edit; give its --region or --masks"),
+        (path, ("consistency", "gap", "pairs", "perceptual_pairs", "depth_tolerance"), "a camera path; give --path"),
+    )
+    lines = []
+    for there, names, needed in kinds:
+        given = [
+            f"--{name.replace('_', '-')}" for name in names if getattr(config, name) != getattr(EvaluateConfig, name)
+        ]
+        if given and not there:
+            lines.append(f"not used: {', '.join(given)}, without {needed}")
+    return lines
 
 
 def _edit_compared(
@@ -89,6 +113,8 @@ def _edit_compared(
         return None, []
     regions = [runner.work.find("region", name) for name in against.regions]
     base = field_named(runner, against.base) if against.base else field_before(field)
+    if against.base and base is not None and base.name == field.name:
+        raise UsageError(f"--base {base.name} is the edited field itself; name the one before the edit")
     if base is None or base.name == field.name:
         raise UsageError(f"field {field.name} was made from no other field; name the unedited one with --base")
     return base, regions

@@ -223,9 +223,10 @@ LONGEST_NAME = 60  # names of artifacts made with a style image append to its na
 
 def style_file(text: str) -> Path:
     """Return the path of the style image; BadInput if there is no such file."""
-    if not Path(text).is_file():
+    path = Path(text).expanduser()
+    if not path.is_file():
         raise BadInput(f"--style {text}: there is no such image")
-    return Path(text)
+    return path
 
 
 def name_of(style: Path) -> str:

@@ -213,6 +213,10 @@ def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact], con
             f"{error.filename} is gone, which `stylerf {spec.verb}` needs to the end; put it back and rerun the same "
             "command"
         ) from error
+    except BadInput as error:
+        raise InputGone(
+            f"{error}; `stylerf {spec.verb}` needs it to the end: put it back and rerun the same command"
+        ) from error
     for option, digest in outside.items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")

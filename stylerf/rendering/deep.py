@@ -48,11 +48,12 @@ class DeepCollector:
             np.float32(self._field.step), self._most, SAMPLES_PER_RAY, self._threads, counts, found,
         )  # fmt: skip
         counts[~self._seen[pixels]] = 0
-        found[..., :2] *= self._cosines[pixels, None, None]
         order = np.argsort(pixels)
-        counts, found = counts[order], found[order]
-        self._counts[pixels[order]] = counts
-        self._parts.append(found[np.arange(self._most) < counts[:, None]])
+        counts, pixels = counts[order], pixels[order]
+        kept = found[order][np.arange(self._most) < counts[:, None]]
+        kept[:, :2] *= np.repeat(self._cosines[pixels], counts)[:, None]
+        self._counts[pixels] = counts
+        self._parts.append(kept)
 
     def view(self) -> DeepView:
         """Return what has been added, in the field's own colors as its color map changes them."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from schemas.exr import FAR_Z, read_exr
-from schemas.migrations import CURRENT
+from schemas.migrations import CURRENT, renamed_in_3
 from schemas.scene import Lens, LensDistortion, read_scene
 from schemas.tensors import load_tensors
 from schemas.work_folder import Artifact, WorkFolder
@@ -85,6 +85,13 @@ def test_the_exr_and_tensor_samples_read():
     assert view.attributes == {"field": "toy"} and view.masks["head"].sum() == 2 and view.intrinsics == (5, 5, 2, 1.5)
     tensors, metadata = load_tensors(SAMPLES / "field-3" / "field.safetensors")
     assert tensors["density"].sum() == 8 and metadata == {"kind": "vm"}
+
+
+def test_names_of_views_are_not_renamed_with_the_keys_of_schema_2():
+    stops = {"centre_01": 0.3, "hull": -0.3, "colour": 1, "color": 2}
+    content = {"figures": {"exposure_stops": stops, "pose_shift_px": {"views": stops}, "colour": 1}}
+    expected = {"exposure_stops": stops, "pose_shift_px": {"views": stops}, "color": 1}
+    assert renamed_in_3(content) == {"metrics": expected}
 
 
 def test_files_of_schema_2_read_under_their_new_names():

@@ -5,7 +5,7 @@ import pytest
 from stages.configs.edit import EditConfig, FinetuneConfig
 from stages.configs.fit import FitConfig
 from stages.configs.render import label_of
-from stages.configs.stylize import ArfConfig
+from stages.configs.stylize import ArfConfig, DesrfConfig, RefNprConfig
 from stages.configs.view_syntax import depth_of
 
 
@@ -13,6 +13,10 @@ from stages.configs.view_syntax import depth_of
     ("config", "options", "words"),
     [
         (ArfConfig, {"style": "x", "style_weight": -1.0}, "style_weight must not be negative"),
+        (ArfConfig, {"style": "x", "keep_colors": True, "max_gain": 8.0}, "--max-gain limits color matching"),
+        (ArfConfig, {"style": "x", "dilation": 4}, "need --rays dilated, random or patch"),
+        (RefNprConfig, {"style": "x", "remember": False}, "need --rays dilated, random or patch"),
+        (DesrfConfig, {"style": "x", "rays": "full", "blur": 3}, "need --rays dilated, random or patch"),
         (EditConfig, {"style": "x", "style_weight": -1.0, "edge_weight": -2.0}, "style_weight, edge_weight must not"),
         (EditConfig, {"style": "x", "style_side": -3}, "style_side must be at least 16"),
         (FitConfig, {"held_out": -7}, "held_out must be at least 0, or -1"),
@@ -24,6 +28,11 @@ from stages.configs.view_syntax import depth_of
 def test_values_out_of_range_are_refused(config, options, words):
     with pytest.raises(ValueError, match=words):
         config(**options)
+
+
+def test_options_of_some_rays_are_taken_where_only_some_learn():
+    for config, options in ((DesrfConfig, {"blur": 3}), (ArfConfig, {"rays": "random", "remember": False})):
+        assert config(style="x", **options).blur == options.get("blur", 0)
 
 
 def test_shares_that_are_one_but_for_rounding_are_taken():

@@ -13,6 +13,7 @@ from schemas.images import write_png
 from schemas.work_folder import WorkFolder
 from stages import evaluate
 from stages.configs.evaluate import EvaluateConfig
+from stages.configs.stylize import ArfConfig, DesrfConfig, SnerfConfig
 from stages.evaluation.painted_views import options_of
 from stages.evaluation.perceptual_metrics import StyleImage, perceptual_networks, style_file
 from stages.run.progress import Context
@@ -207,3 +208,19 @@ def test_what_paints_is_what_stylized(tmp_path):
     found = options_of(field, Path("other.png"))
     assert (found.style, found.style_scale, found.match_by) == ("other.png", 2.5, "nearest")
     assert options_of(None, Path("other.png")).style_scale == type(found).style_scale
+    assert type(found) is DesrfConfig  # with the defaults that this method has for weights
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"method": "snerf", "image_by": "features", "budget": "3", "keep_frame": True}, SnerfConfig),
+        ({"method": "refnpr", "reference_by": "adain"}, ArfConfig),
+        ({"method": ["arf"]}, ArfConfig),
+    ],
+)
+def test_views_are_painted_with_the_methods_own_defaults(tmp_path, options, kind):
+    found = options_of(made.make_field(WorkFolder(tmp_path), "a", "stylize", {}, config=options), Path("other.png"))
+    assert type(found) is kind and found.budget == kind.budget
+    for name in ("image_by", "keep_frame"):
+        assert getattr(found, name, None) == options.get(name, getattr(kind, name, None))

@@ -218,6 +218,20 @@ def test_what_cannot_be_measured_is_refused_before_anything_is_rendered(
     assert reported in err and err.count("\n") == 1 and renderer == []
 
 
+def test_options_without_an_effect_are_named(work, renderer, capsys):
+    options = ("--features", "hed-vgg16", "--ring", "20", "--gap", "5")
+    assert main(["eval", str(work.root), *options, *FAST[:-1]]) == 0
+    said = capsys.readouterr().err
+    for words in ("--features, without a style image", "--ring, without a local edit", "--gap, without a camera path"):
+        assert f"not used: {words}" in said
+
+
+def test_a_field_is_not_the_one_before_its_own_edit(work, renderer, capsys):
+    made.commit(work, "region", "cup", "region_select", {"field": work.get("field", "wall")}, lambda path: None)
+    assert main(["eval", str(work.root), "--of", "wall", "--region", "cup", "--base", "wall", *FAST]) == 2
+    assert "--base wall is the edited field itself; name the one before the edit" in capsys.readouterr().err
+
+
 def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer, capsys, tmp_path):
     made.make_field(work, "red", "stylize", {"field": work.get("field", "wall")})
     write_png(tmp_path / "red.png", np.zeros((72, 96, 3), np.uint8))

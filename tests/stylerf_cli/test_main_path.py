@@ -138,6 +138,12 @@ def test_stylized_colors_are_nearer_to_the_painting(demo):
     assert after < 0.5 * before
 
 
+def test_frames_of_a_demo_are_those_that_render_makes(demo, capsys):
+    before = (demo / "frames" / "fit-test" / "manifest.json").read_bytes()
+    said(capsys, "render", str(demo), "--of", "fit", "--path", "test")
+    assert (demo / "frames" / "fit-test" / "manifest.json").read_bytes() == before
+
+
 def test_shards_of_a_path_are_the_bytes_of_the_whole(demo, capsys):
     common = ("render", str(demo), "--of", "fit", "--path", "orbit", "--count", "4", "--scale", "0.5")
     said(capsys, *common, "--name", "whole")

@@ -335,6 +335,13 @@ def test_a_file_that_is_gone_at_the_end_does_not_cost_the_run(tmp_path):
     (tmp_path / "elsewhere.png").rename(style)
     assert execute(spec, run, work, "fox", {}, config, Context())[0].manifest.figures["runs"] == 2
 
+    def refused(config):
+        raise BadInput("cams.json does not exist; restore it")
+
+    with pytest.raises(BadInput, match=r"cams\.json does not exist; restore it; .* put it back") as gone:
+        execute(replace(spec, outside=refused), run, work, "bear", {}, config, Context())
+    assert gone.value.keeps_run and work.unfinished() == [("field", "bear")]
+
 
 def test_expensive_work_of_other_inputs_is_reported_when_it_is_given_up(tmp_path, monkeypatch):
     monkeypatch.setattr(partial, "EXPENSIVE_SECONDS", 0.0)
