@@ -54,7 +54,7 @@ class EvaluateConfig:
         digest="reference_digest",
     )
     reference_digest: str = ""
-    gap: int = advanced(7, "consistency", help="frames between the two views of a long-range pair")
+    gap: int = advanced(7, "consistency", help="distance between the two views of a long-range pair, in frames")
     pairs: int = advanced(24, "consistency", help="maximum number of pairs per range, evenly spread (0: all)")
     perceptual_pairs: int = advanced(
         8, "consistency", help="maximum number of pairs per range for the perceptual distance (0: all)"

@@ -36,7 +36,7 @@ class ImportOptions:
         digest="source_digest",
     )
     downscale: float = option(1.0, help="divide the photos' sides by this")
-    max_side: int = option(0, help="and limit the longer side to this many pixels (0: no limit)")
+    max_side: int = option(0, help="limit the photos' longer side to this many pixels (0: no limit)")
     layout: str = option(
         "auto",
         choices=("auto", "object", "forward", "unbounded"),

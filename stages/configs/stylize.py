@@ -64,7 +64,7 @@ class StylizeConfig:
     match: str = option(
         "auto",
         choices=("auto", "both", "before", "after", "none"),
-        help="color matching to the style image (auto: both; refnpr: before if it makes the reference, else none)",
+        help="color matching to the style image (auto: both; refnpr: before if it optimizes the reference, else none)",
     )
     keep_colors: bool = option(False, help="the style image's strokes in the photos' colors")
     rate: float = option(4e-2, help="learning rate of the colors")
@@ -116,7 +116,10 @@ class StylizeConfig:
         0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
     )
     until: int = advanced(
-        0, LIMITS, extent=True, help="end after this many style steps; resumed there, at once (0: use up the budget)"
+        0,
+        LIMITS,
+        extent=True,
+        help="stop after this many style steps; a run interrupted there ends at once (0: use the budget)",
     )
     checkpoint_every_seconds: float = advanced(20.0, LIMITS, help="time between checkpoints", incidental=True)
 
@@ -208,7 +211,7 @@ class ArfConfig(StylizeConfig):
         help="of whole captures: also stylize views that see this much farther to each side than the photos, where "
         "camera paths may look (0: the photos' views alone)",
     )
-    dilation: int = advanced(2, RAYS, help="dilated: every Nth ray in both axes; random, patch: as few rays")
+    dilation: int = advanced(2, RAYS, help="dilated: train every Nth ray in both axes; random, patch: as many rays")
     blur: int = advanced(
         0, RAYS, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)"
     )
