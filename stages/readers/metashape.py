@@ -10,7 +10,6 @@ so that p1 and p2 are those of OpenCV, swapped; of a fisheye (x, y) is the direc
 """
 
 import math
-import os
 from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,7 +23,7 @@ from stages.readers import metashape_file
 from stages.readers.checked_values import row
 from stages.readers.listed_photos import Folder
 from stages.readers.photo_folder import folder_of
-from stages.readers.source import SourceCamera, SourceScene, bare, images_in, natural, with_masks
+from stages.readers.source import SourceCamera, SourceScene, bare, folders_of_photos, images_in, natural, with_masks
 from stylerf.geometry.camera_conventions import with_last_row
 from stylerf.geometry.distortion import Distortion
 
@@ -203,10 +202,8 @@ class _Photos(Folder):
         name, found = super().photo(listed)
         if found is None and not self._searched:
             self._searched = True
-            for parent, below, files in os.walk(self.folder):
-                # Skip hidden folders, and the artifacts of a work folder in this one.
-                below[:] = [name for name in below if name[0] != "." and "manifest.json" not in files]
-                for photo in images_in(Path(parent)) if "manifest.json" not in files else ():
+            for folder in folders_of_photos(self.folder):
+                for photo in images_in(folder):
                     self._below.setdefault(photo.stem, []).append(photo)
         places = [] if found else self._below.get(bare(Path(listed)).name, [])
         if len(places) > 1:

@@ -1,17 +1,16 @@
 """A folder of plain photos: which files count, and what to report if none does."""
 
-import os
 import re
 import shlex
 from pathlib import Path
 
 from schemas.errors import BadInput
 from schemas.safe_names import printable
-from stages.readers.source import image_folder, images_in, natural
+from stages.readers.source import folders_of_photos, image_folder, images_in, natural
 from stages.readers.video import clips_of
 
 FOLDERS = ("images", "input", "photos")
-_NO_PHOTOS = re.compile(r"\.|masks(_\d+)?$|images_\d+$")  # names of folders
+_NO_PHOTOS = re.compile(r"masks(_\d+)?$|images_\d+$")  # names of folders
 UNREADABLE = (".heic", ".heif", ".avif", ".cr2", ".cr3", ".nef", ".arw", ".dng", ".raf", ".orf", ".rw2")
 
 
@@ -68,10 +67,9 @@ def photos_elsewhere(source: Path, chosen: Path) -> list[Path]:
     Masks, hidden folders, artifacts and smaller copies (images_2) do not count.
     """
     found: list[Path] = []
-    for place, below, files in os.walk(source):
-        below[:] = sorted(name for name in below if not _NO_PHOTOS.match(name) and "manifest.json" not in files)
-        if Path(place) != chosen and "manifest.json" not in files:
-            found += images_in(Path(place))
+    for folder in folders_of_photos(source):
+        if folder != chosen and not any(map(_NO_PHOTOS.match, folder.relative_to(source).parts)):
+            found += images_in(folder)
     return found
 
 

@@ -4,7 +4,7 @@ import errno
 import math
 import os
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -226,6 +226,14 @@ def images_in(folder: Path) -> list[Path]:
         and not item.stem.endswith("_mask") and not item.name.startswith(_DYNAMIC)
     ]  # fmt: skip
     return sorted(found, key=lambda item: natural(item.name))
+
+
+def folders_of_photos(folder: Path) -> Iterator[Path]:
+    """Yield `folder` and those below it, but hidden ones and the artifacts of a work folder."""
+    for place, below, files in os.walk(folder):
+        below[:] = () if "manifest.json" in files else sorted(name for name in below if name[0] != ".")
+        if "manifest.json" not in files:
+            yield Path(place)
 
 
 def natural(text: str) -> tuple:

@@ -6,9 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from stylerf.geometry.cameras import Camera
-from stylerf.geometry.distortion import Distortion, Intrinsics
-
-BAND_ROWS = 64
+from stylerf.geometry.distortion import BAND_ROWS, Distortion, Intrinsics
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,9 @@ from stylerf.geometry.cameras import Camera
 # A capture is forward-facing if 95 % of its viewing axes are within this angle, degrees, of their mean. LLFF's captures
 # have about 10, walks around an object 50 and more.
 FORWARD_SPREAD = 25.0
+MOST_DEPTHS = 20_000_000  # of points in views, 0.7 GB: a percentile needs no more
 # Near plane of a forward capture, as a fraction of the nearest known depth; becomes 1 scene unit.
 FORWARD_NEAR = 0.75
-
-MOST_DEPTHS = 20_000_000  # of points in views, 0.7 GB: a percentile needs no more
 UNBOUNDED_NEAR, UNBOUNDED_FAR = 0.05, 1e3
 # Camera centers closer than this, relative to their largest coordinate, differ by rounding only: two steps of single
 # precision, in which many tools store poses. At the origin: rounding of rotations in double precision.
