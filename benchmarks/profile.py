@@ -8,7 +8,7 @@ machine needs, in a kernel of its own and on as many threads, for the memory tha
 `color` read 18 rows a sample from the table, at the very places of the last batch, each sample's asked for while the
 one before is read; the backward passes read them and add to 18 rows of a buffer as large; `adam` reads all gradients,
 and reads and writes five arrays where they are not zero, at the bandwidth of a triad over arrays as long as the
-table. Arithmetic is no part of a bound. Least of REPEATS. `psnr`: of training rays after LEARNING steps.
+table. Arithmetic is not part of a bound. Least of REPEATS. `psnr`: of training rays after LEARNING steps.
 """
 
 import dataclasses

@@ -126,7 +126,7 @@ def _channels(view: ExrView) -> dict[str, np.ndarray]:
 
 
 def view_attributes(view: ExrView) -> dict[str, Any]:
-    """Return the header's entries on color, camera and provenance; ValueError where the camera is not sound."""
+    """Return the header's entries on color, camera and provenance; ValueError where the camera is invalid."""
     height, width = view.alpha.shape
     fx, fy, cx, cy = view.intrinsics
     pose = np.asarray(view.world_from_camera, dtype=np.float64)

@@ -229,7 +229,7 @@ def _in_rec709(linear: np.ndarray, chromaticities: tuple[float, ...], path: Path
         except (np.linalg.LinAlgError, ValueError, ZeroDivisionError):
             matrix = np.full((3, 3), np.nan)
     if not np.abs(matrix).max() < LARGEST_ENTRY:
-        raise BadInput(f"{path} has chromaticities that are no colors; save it again")
+        raise BadInput(f"{path} has chromaticities that are not colors; save it again")
     converted: np.ndarray = (linear @ matrix.T).astype(np.float32)
     return converted
 

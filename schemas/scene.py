@@ -288,7 +288,7 @@ def _known_only(entry: Any, kind: type[Scene | View | Lens | LensDistortion]) ->
 
 
 def lens_of(entry: Any, where: str) -> Lens | None:
-    """Check an entry of scene.json, null for none; ValueError, TypeError or KeyError where it is not sound."""
+    """Check an entry of scene.json, null for none; ValueError, TypeError or KeyError where it is invalid."""
     if entry is None:
         return None
     _known_only(entry, Lens)
@@ -299,7 +299,7 @@ def lens_of(entry: Any, where: str) -> Lens | None:
 
 
 def distortion_of(entry: Any, where: str) -> LensDistortion:
-    """Check the distortion of a lens; ValueError, TypeError or KeyError where it is not sound."""
+    """Check the distortion of a lens; ValueError, TypeError or KeyError where it is invalid."""
     _known_only(entry, LensDistortion)
     if entry["kind"] not in LENS_KINDS:
         raise ValueError(f"{where}: kind is not one of {', '.join(LENS_KINDS)}")

@@ -93,7 +93,7 @@ def _header(stream: BinaryIO, shown: str) -> tuple[int, np.dtype]:
     """Return the number of splats and the layout of one, with the stream at the first."""
     lines = _lines(stream, shown)
     if not lines or lines[0] != "ply":
-        raise BadInput(f"{shown} is no PLY file; give the point_cloud.ply of 3D Gaussian splatting")
+        raise BadInput(f"{shown} is not a PLY file; give the point_cloud.ply of 3D Gaussian splatting")
     order, count = "", -1
     fields: list[tuple[str, str]] = []
     elements: list[str] = []
@@ -109,7 +109,7 @@ def _header(stream: BinaryIO, shown: str) -> tuple[int, np.dtype]:
                 count = int(rest[1])
         elif word == "property" and elements == ["vertex"]:
             if len(rest) != 2 or rest[0] not in _TYPES:
-                raise BadInput(f"{shown}: its vertices have a property that is no number ({printable(line)[:60]})")
+                raise BadInput(f"{shown}: its vertices have a property that is not a number ({printable(line)[:60]})")
             fields.append((rest[1], (order or "<") + _TYPES[rest[0]]))
     names = [name for name, _ in fields]
     if any(name.startswith("packed_") for name in names):

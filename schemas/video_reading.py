@@ -79,7 +79,7 @@ def frames_of(path: Path, most: int = 0) -> Iterator[VideoFrame]:
         most: Yield every second, third ... frame, so that there are about so many or up to twice as many; 0: all.
 
     Raises:
-        BadInput: It is no video of a known container, damaged, empty, has no picture, changes its size, or is too long.
+        BadInput: The container is unknown, or the video is damaged, empty, of changing size or too long.
         OutOfResources: PyAV is not installed, or a frame would need more memory than allowed.
     """
     shown = printable(str(path))

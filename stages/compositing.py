@@ -116,7 +116,7 @@ def plate_camera(scene: SceneData, index: int) -> LensCamera:
         intrinsics = (lens.fx, lens.fy, lens.cx, lens.cy)
         return through_lens(scene.cameras[index], (lens.width, lens.height), intrinsics, distortion)
     except InvalidValue as error:
-        raise BadInput(f"{scene.folder}: the lens of view {view.name} is not sound ({error})") from error
+        raise BadInput(f"{scene.folder}: the lens of view {view.name} is invalid ({error})") from error
 
 
 def map_files(scene: SceneData, views: Sequence[int]) -> dict[int, StMaps]:

@@ -26,7 +26,7 @@ from stylerf.training.stylize.scene import StyleProblem
 from stylerf.training.stylize.settings import REFIT, STYLE, StyleSettings
 from stylerf.training.stylize.trainer import StylizationTrainer
 
-SPEC = Spec(stage="decompose", verb="stylize", revision=4, writes="field")
+SPEC = Spec(stage="decompose", verb="stylize", revision=5, writes="field")
 FINAL_RATE = 0.1  # of the learning rate, at the end
 WORKING_BYTES = 1e9  # what a step takes beside the cached views
 

@@ -31,7 +31,7 @@ from stylerf.style.transparency import shown_colors
 from stylerf.training.backends import edit_engine
 from stylerf.training.edit.trainer import EditSettings, EditTrainer, sampled_colors, start_module
 
-SPEC = Spec(stage="edit_learn", verb="stylize", revision=6, writes="edit", outside=digests_of_files)
+SPEC = Spec(stage="edit_learn", verb="stylize", revision=7, writes="edit", outside=digests_of_files)
 
 
 def run(inputs: dict[str, Artifact], config: EditConfig, partial: PartialArtifact, context: Context) -> dict:

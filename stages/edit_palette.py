@@ -21,7 +21,7 @@ from stages.run.progress import Context
 from stages.run.runner import Spec
 from stylerf.errors import InvalidValue
 
-SPEC = Spec(stage="edit_palette", verb="stylize", revision=2, writes="edit")
+SPEC = Spec(stage="edit_palette", verb="stylize", revision=3, writes="edit")
 
 
 def run(inputs: dict[str, Artifact], config: PaletteConfig, partial: PartialArtifact, context: Context) -> dict:

@@ -18,7 +18,7 @@ from stylerf.fields.palette_edits import Recoloring, SpaceFilter
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.kernels.cpu.compiling import set_threads
 
-SPEC = Spec(stage="recolor", verb="stylize", revision=2, writes="field")
+SPEC = Spec(stage="recolor", verb="stylize", revision=3, writes="field")
 REACH = 0.1  # of the distance from the camera
 SEEN = 0.5  # alpha from which a pixel shows a surface
 

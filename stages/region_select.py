@@ -222,7 +222,7 @@ class Seeds:
 
 
 def _seeds(sight: Sight, at: tuple[str, ...], scribbles: tuple[str, ...]) -> Seeds:
-    """Where the seeds' rays end; BadInput for a pixel or scribble that meets nothing."""
+    """Where the seeds' rays end; BadInput for a pixel or scribble that hits nothing."""
     found = [(np.empty((0, 3), np.float32), np.empty(0, np.int64), np.empty(0, np.int64))]
 
     def meet(view: int, pixels: np.ndarray) -> float:
@@ -239,7 +239,7 @@ def _seeds(sight: Sight, at: tuple[str, ...], scribbles: tuple[str, ...]) -> See
         if not (0 <= x < camera.width and 0 <= y < camera.height):
             raise BadInput(f"{text}: view {name} has {camera.width}x{camera.height} pixels")
         if not meet(view, np.array([int(y) * camera.width + int(x)])):
-            raise BadInput(f"{text} meets nothing of the field: choose a pixel where the render shows the object")
+            raise BadInput(f"{text} hits nothing in the field: choose a pixel where the render shows the object")
     for text in scribbles:
         view, mask = sight.mask(text)
         bright = np.flatnonzero(mask.ravel() > 0.5)
@@ -249,7 +249,7 @@ def _seeds(sight: Sight, at: tuple[str, ...], scribbles: tuple[str, ...]) -> See
         if not share:
             raise BadInput(f"{text}: no pixel of the scribble meets anything of the field: draw it over the object")
         if share < 1:
-            sight.say(f"{text}: {1 - share:.0%} of the scribble meets nothing of the field and is left out")
+            sight.say(f"{text}: {1 - share:.0%} of the scribble hits nothing in the field and is ignored")
     return Seeds(*(np.concatenate(parts) for parts in zip(*found)))
 
 

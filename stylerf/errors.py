@@ -2,7 +2,7 @@
 
 
 class InvalidValue(ValueError):
-    """An argument outside a formula's domain: a matrix that is no rotation, a zero focal length, a NaN."""
+    """An argument outside a formula's domain: a matrix that is not a rotation, a zero focal length, a NaN."""
 
 
 class Diverged(RuntimeError):

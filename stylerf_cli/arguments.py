@@ -49,25 +49,25 @@ def add_common(parser: Parser, everything: bool = True) -> None:
 
     group.add_argument("--json", action="store_true", help="print the result as one JSON object")
     group.add_argument("--quiet", action="store_true", help="print errors only, no progress and notes")
-    group.add_argument("--config", type=Path, metavar="FILE.toml", help="read options from a file; flags override it")
+    group.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="read options from a file; command-line flags take precedence"
+    )
     group.add_argument("--name", help="name of the artifact (default: set by the verb)")
     group.add_argument("--force", action="store_true", help="rebuild what is up to date")
     group.add_argument("--seed", type=_whole, help="random seed (default: 0)")
     group.add_argument("--device", choices=DEVICES, help="where to compute (default: auto)")
-    group.add_argument(
-        "--threads", type=_positive, metavar="N", help=advanced("CPU threads (default: all that are available)")
-    )
+    group.add_argument("--threads", type=_positive, metavar="N", help=advanced("CPU threads (default: all available)"))
     group.add_argument(
         "--memory",
         type=_memory,
         metavar="SIZE",
-        help=advanced("memory limit, such as 512M or 8G (default: most of what is free)"),
+        help=advanced("memory limit, such as 512M or 8G (default: most of the free memory)"),
     )
     group.add_argument(
         "--only", action="store_true", help=advanced("stop if an earlier stage is missing or out of date")
     )
     group.add_argument(
-        "--no-paths", action="store_true", help=advanced("record names of outside files without their folders")
+        "--no-paths", action="store_true", help=advanced("record outside files by name, without their folders")
     )
 
 

@@ -44,7 +44,7 @@ def digest_of_cameras(path: Path) -> str:
 
 
 def read_cameras(path: Path, scene: SceneData) -> CameraFile:
-    """The cameras of a file, in scene units; BadInput where it is of no known form, or a camera is not sound."""
+    """The cameras of a file, in scene units; BadInput where it is of no known form, or a camera is invalid."""
     where = f"--path {printable(str(path))}"
     if path.is_dir():
         return _checked_sizes(read_colmap(path, scene, where), where)
@@ -97,7 +97,7 @@ def _ours(entries: object, like: Camera, where: str) -> CameraFile:
             distorted += entry.get("camera", entry).get("distortion") is not None
             cameras.append(_camera_of_entry(entry.get("camera", entry), f"{index:04d}", like))
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
-            raise BadInput(f"{where}: camera {index} is not sound ({error})") from error
+            raise BadInput(f"{where}: camera {index} is invalid ({error})") from error
     remark = f"{where}: lens distortion is dropped from {distorted} cameras; --plate renders it for the scene's views"
     return CameraFile(cameras, (remark,) if distorted else ())
 
@@ -144,7 +144,7 @@ def _nerfstudio(content: dict, path: Path, scene: SceneData, where: str) -> Came
         raise BadInput(f"{where}: its camera_type is {printable(str(kind))[:40]}, expected perspective")
     entries = content["camera_path"]
     if not isinstance(entries, list):
-        raise BadInput(f"{where}: camera_path is no list; export the path again from nerfstudio's viewer")
+        raise BadInput(f"{where}: camera_path is not a list; export the path again from nerfstudio's viewer")
     width, height = size(content, where, ("render_width", "render_height"))
     undo, remarks = _source_from_nerfstudio(path)
     cameras = []
@@ -223,7 +223,7 @@ def read_3dgs(content: list, scene: SceneData, where: str) -> CameraFile:
         name = f"{where}: camera {index}"
         center, rows = row(entry_of(entry, "position", name), 3, f"{name}: position"), entry_of(entry, "rotation", name)
         if not isinstance(rows, list) or len(rows) != 3:
-            raise BadInput(f"{name}: rotation is no 3x3 matrix")
+            raise BadInput(f"{name}: rotation is not a 3x3 matrix")
         rotation = np.stack([row(one, 3, f"{name}: rotation") for one in rows])
         pose = with_last_row(np.concatenate([rotation, center[:, None]], axis=1))
         width, height = size(entry, name)

@@ -49,7 +49,7 @@ def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: lis
     entries = [
         {
             "index": index,
-            "name": _name(learned[column]),
+            "name": color_name(learned[column]),
             "learned": _hex(learned[column]),
             "now": _hex(now[column]),
             "share": round(shares[column], 4),
@@ -145,20 +145,28 @@ def _hex(color: np.ndarray) -> str:
     return "#" + "".join(f"{value:02x}" for value in to_uint8(np.clip(color, 0, 1)))
 
 
-def _name(color: np.ndarray) -> str:
-    """A word for a color, of lightness and hue, for whoever reads a list of them."""
-    from skimage.color import rgb2lab
+def color_name(color: np.ndarray) -> str:
+    """Name an sRGB color [3] by lightness and hue, as 'dark blue'.
 
-    light, a, b = rgb2lab(np.clip(color, 0, 1).reshape(1, 1, 3))[0, 0]
+    The hue is that of HSV: in CIELAB pure blue lies beyond what is called violet.
+    """
+    from skimage.color import rgb2hsv, rgb2lab
+
+    color = np.clip(color, 0, 1).reshape(1, 1, 3)
+    light, a, b = rgb2lab(color)[0, 0]
     chroma = float(np.hypot(a, b))
     if light < 12:
         return "black"
     if chroma < 8:
         return "white" if light > 92 else "light gray" if light > 65 else "gray" if light > 35 else "dark gray"
-    hues = ("pink", "red", "orange", "yellow", "green", "cyan", "blue", "violet", "pink")
-    begins = (0, 15, 48, 78, 108, 170, 230, 290, 325)  # degrees of CIELAB hue
-    hue = float(np.degrees(np.arctan2(b, a))) % 360
+    hues = ("red", "orange", "yellow", "green", "cyan", "blue", "violet", "pink", "red")
+    begins = (0, 15, 45, 70, 165, 200, 250, 310, 345)  # degrees
+    hue = 360 * float(rgb2hsv(color)[0, 0, 0])
     word = hues[int(np.searchsorted(begins, hue, side="right")) - 1]
+    if word == "orange" and light < 50:
+        word = "brown"
+    elif word == "red" and light > 70:
+        word = "pink"
     return f"{'dark ' if light < 35 else 'light ' if light > 78 else ''}{word}"
 
 

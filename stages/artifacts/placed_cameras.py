@@ -32,7 +32,7 @@ def in_scene(pose: np.ndarray, scene: SceneData, where: str, up: str = "") -> np
         up: y or z where the file's coordinates are the source's turned so that this axis is up.
 
     Raises:
-        BadInput: it is no pose.
+        BadInput: it is not a pose.
     """
     return moved(checked(pose, where), np.linalg.inv(file_from_scene(scene, "source", up)))
 

@@ -28,7 +28,7 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
 
     Raises:
         UsageError: usd-core is not installed.
-        BadInput: it is no USD file, refers to other files, or has not one camera.
+        BadInput: it is not a USD file, refers to other files, or has not one camera.
     """
     try:
         from pxr import Sdf, Tf, Usd, UsdGeom
@@ -42,7 +42,7 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
     try:
         layer = Sdf.Layer.OpenAsAnonymous(str(path))
         if layer is None:
-            raise BadInput(f"{where} is no USD file")
+            raise BadInput(f"{where} is not a USD file")
         # Whatever else such a file names would be opened too, from anywhere.
         if others := layer.GetCompositionAssetDependencies():
             raise BadInput(f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat -f")
@@ -60,7 +60,7 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
         cameras = [_camera(prim, time, index, size, scene, up, where) for index, time in enumerate(times)]
     except Tf.ErrorException as error:
         reasons = [one.commentary for one in error.args] or [str(error)]
-        raise BadInput(f"{where} is no sound USD file ({printable(' '.join(reasons[0].split()))[:200]})") from error
+        raise BadInput(f"{where} is not a valid USD file ({printable(' '.join(reasons[0].split()))[:200]})") from error
     unit, remarks = UsdGeom.GetStageMetersPerUnit(stage), []
     if not math.isclose(unit, 1.0):
         remarks.append(f"{path.name} has units of {unit:g} m; its coordinates are taken as those of the scene's source")
@@ -68,7 +68,7 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
 
 
 def _value_clips(layer: Any) -> str:
-    """Return the path of a prim with value clips, which are no composition arcs but open files too; "" without any."""
+    """Return the path of a prim with value clips, which are not composition arcs but open files too; "" without any."""
     from pxr import Sdf
 
     found: list[str] = []
@@ -112,7 +112,7 @@ def _camera_of(stage: Any, where: str) -> tuple[Any, tuple[int, int, float] | No
 
 
 def _number(attribute: Any, time: Any, where: str) -> float:
-    """Return the value of an attribute at a time; BadInput if it is no number."""
+    """Return the value of an attribute at a time; BadInput if it is not a number."""
     value = attribute.Get(time)
     if not isinstance(value, int | float):
         raise BadInput(f"{where}: {attribute.GetName()} is {printable(str(value))[:40]}, expected a number")
@@ -137,7 +137,7 @@ def _times(stage: Any, prim: Any, where: str) -> list[Any]:
     if stage.HasAuthoredTimeCodeRange():
         first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(first) and math.isfinite(last) and last >= first):
-        raise BadInput(f"{where}: time codes from {first:g} to {last:g} are no range of frames")
+        raise BadInput(f"{where}: time codes from {first:g} to {last:g} are not a range of frames")
     check_count(int(min(last - first, 1e9)) + 1, where)
     return [Usd.TimeCode(first + index) for index in range(int(last - first) + 1)]
 

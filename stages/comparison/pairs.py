@@ -135,5 +135,5 @@ def _encoded(image: np.ndarray, width: int, quality: int) -> Encoded:
 
 def _unpaired(contenders: Sequence[Contender], pairs: Sequence[Pair]) -> list[Gap]:
     met = {place for pair in pairs for place in (pair.left, pair.right)}
-    why = "No other stylization of its scene by its style image, or more pairs than --most."
+    why = "No other stylization of its scene by its style image, or more pairs than --max-pairs."
     return [Gap(one.run.title, why) for place, one in enumerate(contenders) if place not in met]

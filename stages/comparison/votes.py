@@ -154,7 +154,7 @@ def _content(path: Path) -> dict[str, Any]:
             validation.integer(validation.table(vote, "a vote"), "pair", 0, MOST_PAIRS)
             validation.one_of(vote, "choice", CHOICES)
     except UNSOUND as error:
-        raise BadInput(f"{path} is no file of votes: {error}; save one on a page of compare --pairs") from error
+        raise BadInput(f"{path} is not a file of votes: {error}; save one on a page of compare --pairs") from error
     return data
 
 
@@ -176,7 +176,7 @@ def _key(votes: Path, page: str, out: Path) -> dict[str, tuple[Side, Side]]:
             places = [validation.integer(pair, side, 0, len(sides) - 1) for side in ("left", "right")]
             found[number] = (sides[places[0]], sides[places[1]])
     except UNSOUND as error:
-        raise BadInput(f"{path} is no key of a page: {error}; write the page again") from error
+        raise BadInput(f"{path} is not a key of a page: {error}; write the page again") from error
     return found
 
 

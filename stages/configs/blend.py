@@ -25,8 +25,8 @@ class BlendConfig:
 
     of: tuple[str, ...] = option(
         metavar="FIELD[:REGION][=WEIGHT]",
-        help="fields made from one field, with weights of 0 to 1 (without: equal shares of what is left); "
-        "FIELD:REGION is laid over them in that region (without a weight: 1)",
+        help="stylizations of the same field, with weights of 0 to 1 (without: equal shares of the rest); "
+        "FIELD:REGION replaces them in that region (default weight: 1)",
     )
 
     def __post_init__(self) -> None:
@@ -68,12 +68,14 @@ def _weighed(parts: list[Part]) -> tuple[Part, ...]:
     whole = [part for part in parts if not part.region]
     given = sum(part.weight for part in whole if part.weight is not None)
     if given > 1 + ROUNDING:
-        raise ValueError(f"the weights of --of add up to {given:g}, and 1 is the most; what they leave is the source's")
+        raise ValueError(f"the weights of --of add up to {given:g}; at most 1 is allowed")
     waiting = [part for part in whole if part.weight is None]
     if waiting and given >= 1:
-        raise ValueError(f"--of {waiting[0].field}: the other weights leave nothing for it; give it one too")
+        raise ValueError(f"--of {waiting[0].field}: the other weights add up to 1; give it one too")
     if len(parts) == 1 and waiting:
-        raise ValueError(f"--of {parts[0].field} alone is that field; give a weight below 1, a region or another field")
+        raise ValueError(
+            f"--of {parts[0].field} alone is not a blend; give a weight below 1, a region or a second field"
+        )
     rest = (1 - given) / max(len(waiting), 1)
     return tuple(
         part if part.weight is not None else Part(part.field, part.region, 1.0 if part.region else rest)

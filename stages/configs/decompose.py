@@ -18,20 +18,18 @@ class DecomposeConfig:
     """How a scene's colors are decomposed into a palette (PaletteNeRF)."""
 
     method: str = option(METHOD, choices=(METHOD,), help="palettenerf: an editable palette of the whole scene")
-    bases: int = option(4, help="palette colors, 4 to 16 (0: as few as leave an error of 5/255)")
+    bases: int = option(4, help="palette colors, 4 to 16 (0: the fewest with an error of at most 5/255)")
     budget: str = option("2m", help="time (60s, 2m) or number of the palette's steps")
-    rate: float = option(1e-2, help="learning rate, falling to a tenth (hash table: three times it)")
+    rate: float = option(1e-2, help="learning rate, decaying to a tenth (three times as high for the hash table)")
     sparsity_weight: float = option(2e-3, help="weight against mixing several palette colors (PaletteNeRF: 2e-4)")
-    refit_steps: int = advanced(300, STEPS, help="steps that first fit the direct color to the photos")
+    refit_steps: int = advanced(300, STEPS, help="steps that fit the direct color to the photos before the palette")
     pixels: int = advanced(2048, STEPS, help="pixels per step")
     offset_weight: float = advanced(0.03, LOSS, help="weight of the squared offsets from palette colors")
     view_weight: float = advanced(0.1, LOSS, help="weight of the squared view-dependent color")
     smooth_weight: float = advanced(
-        4e-3, LOSS, help="weight of differences between mixes at near points of similar color"
+        4e-3, LOSS, help="weight of differences between the mixes of nearby points of similar color"
     )
-    guide_weight: float = advanced(
-        0.05, LOSS, help="weight of the mixes given by the palette's convex hull, at the beginning"
-    )
+    guide_weight: float = advanced(0.05, LOSS, help="initial weight of the mixes that the palette's convex hull gives")
     drift_weight: float = advanced(1e-3, LOSS, help="weight of the palette's distance from the extracted one")
     levels: int = advanced(8, GRID, help="levels of the hash grid")
     finest: int = advanced(0, GRID, help="cells per side of its finest level (0: a little finer than a pixel)")

@@ -9,13 +9,13 @@ from stages.configs import advanced, option
 class DeformConfig:
     """How the deformation of a fitted field is initialized (DeSRF)."""
 
-    steps: int = option(2000, help="most steps; stops earlier when the photos gain nothing more")
+    steps: int = option(2000, help="maximum number of steps; stops earlier once the PSNR stops rising")
     rays: int = option(1024, help="random rays per step")
     rate: float = option(1e-3, help="learning rate of the deformation network")
     smoothness: float = option(1.0, help="weight of the displacement's total variation")
-    patience_db: float = option(0.02, help="dB to gain every 200 steps to continue (0: run all steps)")
+    patience_db: float = option(0.02, help="PSNR gain, dB, needed every 200 steps to continue (0: run all steps)")
     gate: float = option(
-        0.0, help="dB that held-out training views must gain, or the deformation is dropped (0: no check)"
+        0.0, help="drop the deformation unless held-out training views gain this many dB (0: no check)"
     )
     vertices: int = advanced(32, "network", help="vertices per side of the displacement grid")
     width: int = advanced(256, "network", help="width of the network's two hidden layers")

@@ -10,7 +10,7 @@ from stages.configs.fit import budget_of
 class DemoConfig:
     """Size and duration of the demo."""
 
-    size: int = option(200, help="side of the photos, pixels")
+    size: int = option(200, help="side of the square photos, pixels")
     train_views: int = option(60, help="photos to train on")
     test_views: int = option(8, help="photos to test with")
     fit_budget: str = option("60s", help="training time of the field, or steps")

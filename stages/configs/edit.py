@@ -12,7 +12,9 @@ from stages.configs.select import SelectConfig
 class ExtractConfig:
     """What the training views show of a region, for its edit."""
 
-    tolerance: float = option(0.5, help="opacity that may lie outside the region (LAENeRF: 0.5 to 0.85)")
+    tolerance: float = option(
+        0.5, help="leave out pixels with more opacity than this outside the region (LAENeRF: 0.5 to 0.85)"
+    )
     transition: float = option(-1.0, help="width over which an edit fades out, scene units (-1: a 40th of the region)")
     exr: bool = option(True, help="also write OpenEXR images")
 
@@ -34,16 +36,16 @@ STROKES = (0.25, 4.0)  # smallest and largest --stroke
 class EditConfig:
     """How the look of a region is learned."""
 
-    recolor: bool = option(False, help="learn a palette to recolor with; shapes and shading stay")
+    recolor: bool = option(False, help="recolor the region through a palette; shapes and shading stay")
     style: str = option("", help="the style image", digest="style_digest")
     style_digest: str = ""  # sha256 of the style image
-    crop: tuple[int, ...] = option((), metavar="N", help="x y size: use this square of the style image")
-    keep_frame: bool = option(False, help="use the style image with the frame or paper around it")
-    stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
-    keep_colors: bool = option(False, help="the style image's strokes in the region's colors")
-    colors: int = option(8, help="palette colors at the beginning")
-    max_colors: int = option(5, help="most palette colors at the end")
-    budget: str = option("90s", metavar="TIME", help="most time for all steps")
+    crop: tuple[int, ...] = option((), metavar="N", help="x y size: use only this square of the style image")
+    keep_frame: bool = option(False, help="keep the frame or paper around the style image")
+    stroke: float = option(1.0, help="stroke size relative to the default, 0.25 to 4")
+    keep_colors: bool = option(False, help="use the style image's strokes but the region's colors")
+    colors: int = option(8, help="initial number of palette colors")
+    max_colors: int = option(5, help="maximum number of palette colors that are kept")
+    budget: str = option("90s", metavar="TIME", help="maximum time for all steps")
     style_weight: float = option(3.0, help="weight of the Gram distance to the style image")
     features: str = option(
         "",
@@ -51,24 +53,22 @@ class EditConfig:
         digest="features_digest",
     )
     features_digest: str = ""  # sha256 of that file
-    match: bool = advanced(True, LOSS, help="give the region the style image's colors first (LAENeRF does not)")
+    match: bool = advanced(True, LOSS, help="first match the region's colors to the style image's (LAENeRF does not)")
     layers: str = advanced("conv3", LOSS, help="feature layers whose Gram matrices are matched")
     style_side: int = advanced(128, LOSS, help="longer side of the image that features are taken from")
-    offset_weight: float = advanced(0.5, LOSS, help="weight of offsets from palette colors")
+    offset_weight: float = advanced(0.5, LOSS, help="weight of the offsets from palette colors")
     certainty_weight: float = advanced(
-        5e-3, LOSS, help="weight of mixing: the share that is not of a pixel's first color"
+        5e-3, LOSS, help="weight of mixing: the share of a pixel that its main palette color does not explain"
     )
-    variation_weight: float = advanced(
-        10.0, LOSS, help="weight of differences between neighbors, except at edges of geometry"
-    )
-    edge_weight: float = advanced(50.0, LOSS, help="weight of contrast at edges of geometry")
-    smooth_weight: float = advanced(100.0, LOSS, help="weight of the photo's colors where the edit fades")
+    variation_weight: float = advanced(10.0, LOSS, help="weight of total variation, except at edges of the geometry")
+    edge_weight: float = advanced(50.0, LOSS, help="weight of contrast at edges of the geometry")
+    smooth_weight: float = advanced(100.0, LOSS, help="weight of the photo's colors where the edit fades out")
     start: str = advanced(
         "clusters", STEPS, choices=("clusters", "random"), help="initial palette colors (LAENeRF: random)"
     )
-    palette_steps: int = advanced(300, STEPS, help="steps on the photos alone")
+    palette_steps: int = advanced(300, STEPS, help="palette steps on the photos, before any style")
     style_steps: int = advanced(100, STEPS, help="steps on the style image")
-    pruned_steps: int = advanced(-1, STEPS, help="steps after colors are pruned (-1: 100; with a style image 40)")
+    pruned_steps: int = advanced(-1, STEPS, help="steps after colors are pruned (-1: 100, or 40 with a style image)")
     preview_every: float = advanced(
         0.0, STEPS, metavar="SECONDS", help="time between previews of the region (0: none)", incidental=True
     )
@@ -104,7 +104,7 @@ class PaletteConfig:
     """Changes of a learned palette, which need no training."""
 
     palette: tuple[str, ...] = option(
-        (), metavar="I=#RRGGBB", help="replace palette color I; all=#RRGGBB: replace the hue of all"
+        (), metavar="I=#RRGGBB", help="replace palette color I; all=#RRGGBB: change the hue of all"
     )
     palette_weight: tuple[str, ...] = option((), metavar="I=S", help="multiply the weight of palette color I by S")
     palette_bias: tuple[str, ...] = option((), metavar="I=B", help="add B to the weight of palette color I")
@@ -141,8 +141,8 @@ def number_of(text: str) -> tuple[int, float]:
 class DistillConfig:
     """How an edit is written into the photos."""
 
-    fade: bool = option(True, help="fade palette changes towards the region's surroundings")
-    min_opacity: float = option(0.5, help="opacity of the region from which a pixel is edited")
+    fade: bool = option(True, help="fade the edit out towards the region's surroundings")
+    min_opacity: float = option(0.5, help="minimum opacity of the region in an edited pixel")
 
     def __post_init__(self) -> None:
         if not 0 < self.min_opacity < 1:
@@ -155,18 +155,18 @@ class FinetuneConfig:
 
     budget: str = option("30s", help="time (45s, 2m) or number of steps")
     rays: int = option(6144, help="rays per step")
-    inside: float = option(0.4, help="fraction of them through edited pixels")
-    beside: float = option(0.3, help="fraction of them through pixels around those")
-    rate: float = option(0.0, help="learning rate of the colors (0: 0.02 for a region's own, 0.005 for the field's)")
+    inside: float = option(0.4, help="fraction of the rays through edited pixels")
+    beside: float = option(0.3, help="fraction of the rays through pixels around the edited ones")
+    rate: float = option(0.0, help="learning rate of the colors (0: 0.02 for region, 0.005 for field)")
     density_factor: float = option(
-        -1.0, help="learning rate of the density relative to it (-1: 0 with a region's own colors, else 0.3)"
+        -1.0, help="learning rate of the density, relative to the colors' (-1: 0 for region, 0.3 for field)"
     )
     colors: str = option(
         "region",
         choices=("region", "field"),
-        help="colors that learn: the region's own, which tint nothing beyond it, or the whole field's",
+        help="colors to train: a layer for the region alone, or the whole field's",
     )
-    freeze_density: bool = option(False, help="keep the shapes")
+    freeze_density: bool = option(False, help="train colors only")
     depth_weight: float = option(1e-3, help="weight of the squared relative change of depth at edited pixels")
     checkpoint_every_seconds: float = advanced(20.0, help="time between checkpoints", incidental=True)
 

@@ -22,7 +22,7 @@ class EvaluateConfig:
     features: str = advanced(
         "",
         "style",
-        help="feature network of the style distances: a name or a file of VGG weights",
+        help="network for the style distances: a name or a file of VGG weights",
         digest="networks",
     )
     style_side: int = advanced(256, "style", help="longer side in pixels at which render and style image are compared")
@@ -30,7 +30,7 @@ class EvaluateConfig:
         "auto",
         "perceptual metrics",
         choices=("auto", "none"),
-        help="auto: perceptual distances whose weights are available",
+        help="auto: all perceptual metrics whose weights are available",
     )
     networks: str = ""  # names and digests of the networks that are used
     consistency: str = option(
@@ -50,7 +50,7 @@ class EvaluateConfig:
     reference: tuple[str, ...] = option(
         (),
         metavar="VIEW=FILE",
-        help="stylized image of a view, for Ref-LPIPS against the nearest test views",
+        help="stylized image of a view, for Ref-LPIPS with the nearest test views",
         digest="reference_digest",
     )
     reference_digest: str = ""
@@ -64,21 +64,21 @@ class EvaluateConfig:
         "",
         "local edit",
         metavar="DIR",
-        help="masks of a local edit: images named like the views, white where edited",
+        help="masks of a local edit: images with the views' names, white where edited",
         digest="masks_digest",
     )
     masks_digest: str = ""
-    margin: int = advanced(2, "local edit", help="pixels around a region that are not counted as background")
+    margin: int = advanced(2, "local edit", help="width in pixels of the border around a region that counts as neither")
     ring: int = advanced(8, "local edit", help="width in pixels of the ring around a region where bleeding is measured")
     train_views: bool = advanced(False, "local edit", help="also measure a local edit on the training views")
     ceiling: int = advanced(
         0,
         "style",
         metavar="STEPS",
-        help="also paint the views of the contact sheet in 2D by the field's style loss, as a ceiling (0: no; 60 steps "
-        "take a minute a view)",
+        help="also stylize the contact sheet's views in 2D with the field's style loss, as a ceiling (0: no; 60 steps "
+        "take a minute per view)",
     )
-    sheet: int = option(6, help="number of views on the contact sheet: the worst, the best, others evenly spread")
+    sheet: int = option(6, help="views on the contact sheet: the worst, the best, and others evenly spread")
 
     def __post_init__(self) -> None:
         for text in self.reference:

@@ -35,27 +35,27 @@ class ExportConfig:
     )
     path: str = option(
         "", metavar="views|train|test|orbit|spiral|interpolate|FILE",
-        help="cameras to export, as of render (default: views; orbit for a shot)", digest="path_digest",
+        help="cameras to export, as in render (default: views; orbit for a shot)", digest="path_digest",
     )  # fmt: skip
     path_digest: str = ""
-    geometry: str = option("mesh", choices=("mesh", "splats"), help="what the field is in a shot")
-    count: int = option(60, help="number of frames of an orbit, spiral or interpolated path")
+    geometry: str = option("mesh", choices=("mesh", "splats"), help="representation of the field in a shot")
+    count: int = option(60, help="number of frames of an orbit, spiral or interpolation")
     fps: float = option(24.0, help="frames per second of camera paths")
     photos: bool = option(True, help="copy the scene's photos beside transforms.json and COLMAP models of its views")
-    faces: int = option(200_000, help="most triangles of a mesh, 0 for all")
-    resolution: int = option(256, help="cells of the marching-cubes grid along a side, mean of the three")
-    keep_pieces: bool = option(False, help="keep small loose pieces of a mesh")
-    splats: int = option(300_000, help="most splats")
-    budget: str = option("2m", help="time (60s, 2m) or number of steps to optimize splats in")
+    faces: int = option(200_000, help="maximum number of triangles of a mesh (0: no limit)")
+    resolution: int = option(256, help="cells per side of the marching-cubes grid, averaged over the axes")
+    keep_pieces: bool = option(False, help="keep small disconnected pieces of a mesh")
+    splats: int = option(300_000, help="maximum number of splats")
+    budget: str = option("2m", help="time (60s, 2m) or number of steps for optimizing splats")
     reach: float = advanced(
-        8.0, help="how far a capture is meshed, in sizes of its inner box, or in nearest depths if forward-facing"
+        8.0, help="extent of a mesh: multiples of a capture's inner box, or of the nearest depth if forward-facing"
     )
     meters_per_unit: float = advanced(1.0, help="length of a unit in USD files, meters")
 
     def __post_init__(self) -> None:
         unknown = [name for name in self.chosen if name not in FORMATS[self.kind]]
         if unknown or len(set(self.chosen)) < len(self.chosen):
-            what = f"there is no {unknown[0]!r}" if unknown else "one is named twice"
+            what = f"{unknown[0]!r} is unknown" if unknown else "one is named twice"
             raise ValueError(f"--format of --as {self.kind} takes any of {', '.join(FORMATS[self.kind])}: {what}")
         if self.count < 1 or not SLOWEST_FPS <= self.fps <= 240 or not 0 < self.meters_per_unit <= 1e6:
             raise ValueError("count must be at least 1, fps in [1/1001, 240] and meters-per-unit in (0, 1e6]")
@@ -65,7 +65,7 @@ class ExportConfig:
             raise ValueError(f"splats must be 100 to {MOST_SPLATS:,}")
         budget_of(self.budget)
         if idle := self._idle():
-            raise ValueError(f"{idle} would do nothing in an export --as {self.kind} of {', '.join(self.chosen)}")
+            raise ValueError(f"{idle} has no effect on an export --as {self.kind} of {', '.join(self.chosen)}")
 
     def _idle(self) -> str:
         """Return the first option that is set, but has no effect on this kind of export; "" without one."""

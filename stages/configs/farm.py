@@ -12,17 +12,17 @@ PROFILES = ("local", "slurm")
 class FarmConfig:
     """What is done with the table, and where its jobs run."""
 
-    plan: bool = option(False, help="show jobs, hours and disk space, and run nothing")
-    dry_run: bool = option(False, help="let Snakemake show what it would run, and run nothing")
+    plan: bool = option(False, help="show jobs, hours and disk space; run nothing")
+    dry_run: bool = option(False, help="let Snakemake show what it would run; run nothing")
     profile: str = option(
         "local", metavar="local|slurm|DIR", help="where jobs run: this machine, a Slurm cluster, or a Snakemake profile"
     )
     cores: int = option(0, help="CPU cores to use at once on this machine, or to plan for (0: all that are available)")
     jobs: int = option(100, help="jobs to keep queued on a cluster")
     snakemake: str = option(
-        "", metavar="OPTIONS", help="further options for Snakemake, as one text: --snakemake='--default-resources ...'"
+        "", metavar="OPTIONS", help="more Snakemake options, as one string: --snakemake='--default-resources ...'"
     )
-    retries: int = advanced(3, help="times that a job is run again if it was killed or lacked memory or space")
+    retries: int = advanced(3, help="retries of a job that was killed or ran out of memory or space")
 
     def __post_init__(self) -> None:
         if self.plan and self.dry_run:

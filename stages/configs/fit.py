@@ -32,11 +32,13 @@ class FitConfig:
     capacity: str = option(
         "grow",
         metavar="grow|fixed:N[xD[xC]]",
-        help="grow while held-out views gain, or fix N vertices per axis, with vm ranks D (density) and C (color)",
+        help="grow while held-out views improve, or fix N vertices per axis, with vm ranks D (density) and C (color)",
     )
-    min_gain: float = option(0.1, help="dB that held-out views must gain to keep a larger field")
+    min_gain: float = option(0.1, help="PSNR gain on held-out views, dB, that justifies a larger field")
     space: str = option(
-        "auto", choices=("auto", "box", "contraction", "frustum"), help="warp of space (auto: by the scene's layout)"
+        "auto",
+        choices=("auto", "box", "contraction", "frustum"),
+        help="how space is mapped to the grid (auto: by the scene's layout)",
     )
     background: str = option(
         "auto",
@@ -50,17 +52,17 @@ class FitConfig:
     exposure: str = option(
         "auto",
         choices=("auto", "on", "off"),
-        help="correct photos to one exposure (auto: in captures whose photos clearly differ)",
+        help="compensate for exposure differences between photos (auto: in captures where they are clear)",
     )
     held_out: int = option(
-        -1, metavar="N", help="training views held out for decisions (-1: a tenth, at most 4; 0: none)"
+        -1, metavar="N", help="training views held out for choosing the capacity (-1: a tenth, at most 4; 0: none)"
     )
     buffers: bool = option(True, help="also render every view to EXR after the fit", incidental=True)
     head: str = advanced(
         "linear",
         "representation",
         choices=("linear", "mlp"),
-        help="from features to colors: spherical harmonics, or a small network",
+        help="how features become colors: spherical harmonics, or a small network",
     )
     degree: int = advanced(1, "representation", choices=(0, 1, 2), help="degree of the color's spherical harmonics")
     smoothness: float = advanced(
@@ -74,23 +76,25 @@ class FitConfig:
         help="scale gradients of samples nearer to a camera than this, scene units (0: never; -1: by the layout)",
     )
     opacity_weight: float = advanced(
-        0.0, "regularization", help="weight of a prior that makes an object's rays clear or opaque (remedy for haze)"
+        0.0,
+        "regularization",
+        help="weight of a prior that makes an object's rays fully transparent or opaque (against haze)",
     )
     visual_hull: float = advanced(
         0.05,
         "regularization",
-        help="fraction of cut-out views that must show a place as empty to exclude it (0: exclude nothing)",
+        help="carve space that at least this fraction of cut-out photos shows as empty (0: carve nothing)",
     )
     coverage_weight: float = advanced(
-        0.1, "regularization", help="weight of the error of an object's alpha beside that of its colors"
+        0.1, "regularization", help="weight of the alpha loss of an object, relative to the color loss"
     )
     distortion_weight: float = advanced(
-        -1.0, "regularization", help="weight of the spread of a ray's weight over depths (-1: by the scene's layout)"
+        -1.0, "regularization", help="weight of the distortion loss of mip-NeRF 360 (-1: by the scene's layout)"
     )
     least_weight: float = advanced(
         -1.0,
         "regularization",
-        help="empty cells in which no sample of a training ray weighs this much (0: none; -1: by the scene's layout)",
+        help="clear cells where every training ray's weight stays below this (0: none; -1: by the scene's layout)",
     )
     gradient_clip: float = advanced(
         0.0, "safeguards", help="clip gradients at this multiple of their running norm (0: never)"

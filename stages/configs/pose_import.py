@@ -23,46 +23,45 @@ class ImportOptions:
     images: str = option(
         "",
         metavar="FOLDER",
-        help="folder of photos to use in place of the source's own, such as images_8; its photos may be smaller, "
+        help="use the photos of this folder, such as images_8, instead of the source's; they may be smaller, "
         "in the same subfolders or none",
         digest="source_digest",
     )
-    frames: int = option(FRAMES, help="frames to choose from video, even in motion and sharp")
+    frames: int = option(FRAMES, help="frames to pick from a video: sharp ones, evenly spaced in motion")
     cameras: str = option(
         "",
         metavar="PATH",
-        help="cameras that see the splats, if not the cameras.json beside them: such a list, a COLMAP model or a "
+        help="cameras of the splats, if not the cameras.json beside them: another cameras.json, a COLMAP model or a "
         "transforms.json",
         digest="source_digest",
     )
-    downscale: float = option(1.0, help="divide the photos' sides by this")
+    downscale: float = option(1.0, help="downscale the photos by this factor")
     max_side: int = option(0, help="limit the photos' longer side to this many pixels (0: no limit)")
     layout: str = option(
         "auto",
         choices=("auto", "object", "forward", "unbounded"),
-        help="arrangement of the capture (auto: decided from cameras and transparency)",
+        help="kind of capture (auto: from cameras and transparency)",
     )
     background: str = option(
         "auto",
         choices=("auto", "alpha", "white", "black", "none"),
-        help="background of the object (auto: alpha if there is any, else from the image borders)",
+        help="background of an object (auto: alpha if the photos have it, else from their borders)",
     )
-    test_every: int = option(8, help="hold out every Nth photo for tests if the source has no split (0: none)")
+    test_every: int = option(8, help="hold out every Nth photo as a test view if the source has no split (0: none)")
     matching: str = advanced(
         "auto",
         "structure from motion",
         choices=("auto", "exhaustive", "sequential"),
-        help="structure from motion compares "
-        "all pairs of photos, or neighbors in a video (auto: all pairs up to 80 photos)",
+        help="photo pairs to match: all, or neighbors in a sequence (auto: all up to 80 photos)",
     )
     sfm_side: int = advanced(
         1600,
         "structure from motion",
-        help="structure from motion looks at copies whose longer side has at most so many pixels",
+        help="longer side, in pixels, that photos are downscaled to for feature detection",
     )
-    sfm_features: int = advanced(2048, "structure from motion", help="and at so many features in each")
+    sfm_features: int = advanced(2048, "structure from motion", help="maximum number of features per photo")
     one_camera: bool = advanced(
-        True, "structure from motion", help="photos of one size, lens and zoom share their intrinsics"
+        True, "structure from motion", help="photos of the same size, lens and zoom share intrinsics"
     )
 
     def __post_init__(self) -> None:

@@ -20,29 +20,27 @@ class RenderConfig:
     path: str = option(
         "orbit",
         metavar="test|train|views|orbit|spiral|interpolate|FILE",
-        help="cameras: the scene's own views; a path around, in front of or through them; or a file: "
+        help="the scene's views, a generated path, or a camera file: "
         "frames.json, camera_path.json, transforms.json, cameras.json, .chan, USD, or a COLMAP model's folder "
         "(docs/artifacts.md)",
         digest="path_digest",
     )
     path_digest: str = ""
-    count: int = option(60, help="number of frames of an orbit, spiral or interpolated path")
+    count: int = option(60, help="number of frames of an orbit, spiral or interpolation")
     frames: str = option("", metavar="A-B", help="render only frames A to B of the path, counted from 0: a shard")
     scale: float = option(1.0, help="image size relative to the scene's views, or with --plate to the photos")
-    strength: float = option(
-        1.0, metavar="S", help="how stylized: 0 is the field that it was made from, 1 the field itself"
-    )
+    strength: float = option(1.0, metavar="S", help="stylization strength, from 0 (the unstylized field) to 1")
     exr: bool = option(True, help="write OpenEXR: R G B A, Z, rayDistance.Z")
-    regions: bool = option(True, help="write the work folder's regions as EXR channels mask.<name>")
-    cryptomatte: bool = option(False, help="also write the regions as Cryptomatte (EXR layers crypto_region00, ...)")
+    regions: bool = option(True, help="write regions as EXR channels mask.<name>")
+    cryptomatte: bool = option(False, help="also write regions as Cryptomatte (EXR layers crypto_region00, ...)")
     colorspace: str = option("lin_rec709", choices=COLORSPACES, help="linear color space of EXR files")
-    deep: bool = option(False, help="also write deep EXR, deep/NAME.exr: the samples along each ray (on the CPU)")
-    deep_samples: int = advanced(DEEP_SAMPLES, help="most samples of a pixel in deep EXR; neighbors are merged")
+    deep: bool = option(False, help="also write deep EXR, deep/NAME.exr, with the samples along each ray (CPU only)")
+    deep_samples: int = advanced(DEEP_SAMPLES, help="maximum number of deep samples per pixel; closest ones are merged")
     plate: bool = option(
-        False, help="render the scene's views through the photos' lenses, at the photos' full size: on the plate"
+        False, help="render the scene's views with lens distortion at the photos' full size, to match the plates"
     )
-    st_map: bool = option(False, help="also write ST maps that undistort the photos and redistort renders, per lens")
-    masks: bool = advanced(False, help="also write the regions as PNG, masks/<name>/NNNN.png")
+    st_map: bool = option(False, help="also write ST maps, per lens, that undistort the photos and redistort renders")
+    masks: bool = advanced(False, help="also write regions as PNG, masks/<name>/NNNN.png")
     depth: bool = advanced(False, help="also write color-mapped depth")
     displacement: bool = advanced(False, help="also write the color-mapped displacement of a deformed field")
     video: bool = option(False, help="also write a video: MP4 (extra `video`), else GIF")
@@ -55,22 +53,22 @@ class RenderConfig:
         if not 0 <= self.strength <= 1:
             raise ValueError(f"strength must be 0 to 1, not {self.strength:g}")
         if self.masks and not self.regions:
-            raise ValueError("masks are pictures of the regions, which no-regions leaves out")
+            raise ValueError("--masks writes the regions, which --no-regions leaves out")
         if self.cryptomatte and not (self.exr and self.regions):
-            raise ValueError("cryptomatte is the regions in EXR files, which no-exr and no-regions leave out")
+            raise ValueError("--cryptomatte writes the regions to EXR, which --no-exr or --no-regions leaves out")
         if self.colorspace not in COLORSPACES:
             raise ValueError(f"colorspace must be one of {', '.join(COLORSPACES)}")
         if self.colorspace != COLORSPACES[0] and not (self.exr or self.deep):
-            raise ValueError("colorspace is that of EXR files, which no-exr leaves out; PNG is always sRGB")
+            raise ValueError("--colorspace is that of EXR files, which --no-exr leaves out; PNG is always sRGB")
         if not 1 <= self.deep_samples <= MOST_DEEP_SAMPLES:
-            raise ValueError(f"deep-samples must be from 1 to {MOST_DEEP_SAMPLES}")
+            raise ValueError(f"--deep-samples must be 1 to {MOST_DEEP_SAMPLES}")
         if self.deep_samples != DEEP_SAMPLES and not self.deep:
-            raise ValueError("deep-samples bounds the samples of deep EXR; add deep")
+            raise ValueError("--deep-samples has no effect without --deep")
         if self.deep and self.strength < 1:
-            raise ValueError("deep needs colors of single samples; strength below 1 mixes two fields after that")
+            raise ValueError("--deep needs --strength 1: below it, the finished pixels of two fields are mixed")
         if (self.plate or self.st_map) and self.path not in OWN_VIEWS:
-            wanted = "plate" if self.plate else "st-map"
-            raise ValueError(f"{wanted} needs the views of photos: path must be one of {', '.join(OWN_VIEWS)}")
+            wanted = "--plate" if self.plate else "--st-map"
+            raise ValueError(f"{wanted} needs views that have photos: --path must be one of {', '.join(OWN_VIEWS)}")
 
     @property
     def shows_regions(self) -> bool:

@@ -19,14 +19,16 @@ class SelectConfig:
     scribble: tuple[str, ...] = option(
         (), metavar="VIEW=MASK.png", help="seeds: the bright pixels of a view's mask", digest="files_digest"
     )
-    avoid: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel of what does not belong to the region")
+    avoid: tuple[str, ...] = option((), metavar="VIEW:X,Y", help="a pixel outside the region")
     mask: tuple[str, ...] = option(
-        (), metavar="VIEW=MASK.png", help="what most of these masks show; not grown", digest="files_digest"
+        (), metavar="VIEW=MASK.png", help="everything that most of these masks show; not grown", digest="files_digest"
     )
     box: tuple[float, ...] = option((), metavar="S", help="two corners x y z x y z, scene units; not grown")
     sphere: tuple[float, ...] = option((), metavar="S", help="center and radius x y z r, scene units; not grown")
     color: str = option("", metavar="#RRGGBB", help="everything of this color within --tolerance; not grown")
-    depth: str = option("", metavar="VIEW:NEAR,FAR", help="what a view sees between two depths, scene units; not grown")
+    depth: str = option(
+        "", metavar="VIEW:NEAR,FAR", help="everything a view shows between two depths, scene units; not grown"
+    )
     tolerance: float = option(
         18.0, help="largest color difference from the seeds, CIELAB with half the lightness (0: ignore color)"
     )
@@ -34,17 +36,21 @@ class SelectConfig:
     union: tuple[str, ...] = option((), metavar="REGION", help="regions to add")
     subtract: tuple[str, ...] = option((), metavar="REGION", help="regions to remove")
     intersect: tuple[str, ...] = option((), metavar="REGION", help="regions to intersect with")
-    preview: tuple[str, ...] = option((), metavar="VIEW", help="views to preview (default: named ones, two more)")
+    preview: tuple[str, ...] = option(
+        (), metavar="VIEW", help="views to preview (default: those of the seeds and two more)"
+    )
     steps: int = advanced(5, GROWING, help="rounds of growing")
     iterations: int = advanced(200000, GROWING, help="cells examined per round")
     neck: float = advanced(
-        0.3, GROWING, help="stop where the object narrows to this fraction of its widest part so far (0: go on)"
+        0.3, GROWING, help="stop where the object narrows to this fraction of its widest part so far (0: never)"
     )
     fill: int = advanced(2, GROWING, help="fill gaps of up to twice this many cells (0: none)")
-    solid: float = advanced(0.02, GROWING, help="opacity of a cell from which growing passes through it")
-    most: float = advanced(0.5, GROWING, help="fraction of everything solid above which growing counts as a leak")
-    transition: int = advanced(2, GROWING, help="width of the growing grid around the region, cells")
-    cells: int = advanced(0, GROWING, help="cells per side of the cube (0: about 1.5 pixels of the photos, 64 to 256)")
+    solid: float = advanced(0.02, GROWING, help="minimum opacity of a cell that growing passes through")
+    most: float = advanced(0.5, GROWING, help="growing beyond this fraction of all solid cells is a leak")
+    transition: int = advanced(2, GROWING, help="width of the transition around the region, cells")
+    cells: int = advanced(
+        0, GROWING, help="cells per side of the edit grid (0: about 1.5 photo pixels per cell, 64 to 256)"
+    )
     files_digest: str = ""  # sha256 of the masks
 
     def __post_init__(self) -> None:

@@ -27,9 +27,7 @@ class StressConfig:
     methods: tuple[str, ...] = option(
         ("fit", "arf"), metavar="METHOD", help=f"methods to test: {', '.join(METHODS)}, or all"
     )
-    faults: tuple[str, ...] = option(
-        ("all",), metavar="FAULT", help=f"faults to test under: {', '.join(FAULTS)}, or all"
-    )
+    faults: tuple[str, ...] = option(("all",), metavar="FAULT", help=f"faults to inject: {', '.join(FAULTS)}, or all")
     seeds: int = option(0, help="runs of each cell, with consecutive seeds from --seed (0: 5, with --quick 2)")
     budget: str = option("", help="training time of each fit, or steps (default: 20s, with --quick 150 steps)")
     style_budget: str = option(
@@ -39,14 +37,14 @@ class StressConfig:
         0, help="longer side of the photos, pixels; larger ones are downscaled (0: 160, with --quick 64)"
     )
     remedies: str = option("off", choices=("off", "on", "both"), help="run without remedies, with them, or both")
-    quick: bool = option(False, help="run few, small and short trials")
+    quick: bool = option(False, help="run fewer, smaller and shorter trials")
     keep: bool = advanced(False, help="keep the scenes and fields of all trials in WORK/stress/works")
 
     def __post_init__(self) -> None:
         for name, known in (("methods", METHODS), ("faults", FAULTS)):
             unknown = [one for one in getattr(self, name) if one != "all" and one not in known]
             if unknown:
-                raise ValueError(f"there is no {name[:-1]} {unknown[0]!r}; known are {', '.join(known)}, or all")
+                raise ValueError(f"unknown {name[:-1]} {unknown[0]!r}; choose from {', '.join(known)}, or all")
         for budget in (self.budget, self.style_budget):
             if budget:
                 budget_of(budget)

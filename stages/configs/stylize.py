@@ -23,7 +23,7 @@ class StylizeConfig:
     method: str = option(
         "arf",
         choices=METHODS,
-        help="arf: colors only; desrf: colors and shapes; snerf: alternate images and field; refnpr: from stylized "
+        help="arf: colors only; desrf: colors and shapes; snerf: images and field in turn; refnpr: from stylized "
         "views; palettenerf: an editable palette, no style image. `--method NAME --help` shows a method's options",
     )
     budget: str = option("2m", help="time (60s, 2m) or number of style steps")
@@ -39,34 +39,34 @@ class StylizeConfig:
     )
     color_weight: float = option(
         -1.0,
-        help="weight of the squared color difference from the photos (-1: 1; nearest, gram: 10, or 1 where desrf "
+        help="weight of the squared color difference to the photos (-1: 1; nearest, gram: 10, or 1 where desrf "
         "deforms an object; refnpr: 5; with --keep-colors: 10)",
     )
     match_by: str = option(
         "transport",
         choices=("transport", "nearest"),
-        help="match each feature by optimal transport, which uses more of the style image, or with its nearest (NNFM)",
+        help="match features by optimal transport, which uses more of the style image, or to the nearest one (NNFM)",
     )
-    diversity: float = option(0.5, help="transport: how evenly the style image's features are used, 0 to about 2")
+    diversity: float = option(0.5, help="how evenly transport uses the style image's features, 0 to about 2")
     structure_weight: float = option(
         -1.0,
-        help="weight of the photo's edges that are missing (-1: 4; nearest, gram: 0; desrf: 1, of objects 0.5)",
+        help="weight of the loss of the photo's edges (-1: 4; nearest, gram: 0; desrf: 1, of objects 0.5)",
     )
     gram_weight: float = option(
-        -1.0, help="weight of Gram matrices, which compare whole images, within the style distance (-1: 2; nearest: 0)"
+        -1.0, help="weight of the Gram matrix loss within the style distance (-1: 2; nearest: 0)"
     )
-    stroke: float = option(1.0, help="size of the strokes relative to the default, 0.25 to 4")
+    stroke: float = option(1.0, help="stroke size relative to the default, 0.25 to 4")
     stroke_by_depth: bool = option(
-        False, help="strokes half as large at twice the depth; --stroke is their size at the scene's median depth"
+        False, help="halve strokes at twice the depth; --stroke is the size at the scene's median depth"
     )
-    rotations: bool = option(False, help="match with the style image turned by 90, 180 and 270 degrees too")
-    keep_frame: bool = option(False, help="use the style image with the frame or paper around it")
+    rotations: bool = option(False, help="also match the style image rotated by 90, 180 and 270 degrees")
+    keep_frame: bool = option(False, help="keep the frame or paper around the style image")
     match: str = option(
         "auto",
         choices=("auto", "both", "before", "after", "none"),
         help="color matching to the style image (auto: both; refnpr: before if it optimizes the reference, else none)",
     )
-    keep_colors: bool = option(False, help="the style image's strokes in the photos' colors")
+    keep_colors: bool = option(False, help="use the style image's strokes but the photos' colors")
     rate: float = option(4e-2, help="learning rate of the colors")
     style_scale: float = advanced(
         1.5, LOSS, help="size of the style image relative to the view; --stroke scales it from there"
@@ -89,19 +89,19 @@ class StylizeConfig:
     coarse: float = advanced(
         -1.0,
         LOSS,
-        help="first fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
+        help="initial fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
         "desrf deforms an object; refnpr: 0)",
     )
-    style_rows: int = advanced(4096, LOSS, help="most style features to match with")
+    style_rows: int = advanced(4096, LOSS, help="maximum number of style features to match")
     style_basis: int = advanced(96, LOSS, help="principal directions used to find nearest neighbors (0: all, exact)")
-    refit_steps: int = advanced(400, COLORS, help="steps that first fit the new colors to the photos")
+    refit_steps: int = advanced(400, COLORS, help="steps that fit the new color field to the photos before stylization")
     min_spread: float = advanced(
-        0.0, COLORS, help="smallest standard deviation of luma to match to, 0 to 0.25; remedy for blank style images"
+        0.0, COLORS, help="minimum standard deviation of luma to match to, 0 to 0.25; for blank style images"
     )
     max_gain: float = advanced(
         4.0,
         COLORS,
-        help="largest factor by which matching stretches the scene's colors along any axis (0: no limit, as ARF)",
+        help="maximum factor by which color matching stretches the scene's colors (0: no limit, as in ARF)",
     )
     levels: int = advanced(8, GRID, help="levels of the color field's hash grid")
     finest: int = advanced(
@@ -111,7 +111,7 @@ class StylizeConfig:
         f"{COLOR_CELLS[1]})",
     )
     table_bits: int = advanced(19, GRID, help="log2 of its table entries per level")
-    rollbacks: int = advanced(0, LIMITS, help="rollbacks, at half the rate, after a loss that is not finite")
+    rollbacks: int = advanced(0, LIMITS, help="rollbacks, each halving the rate, after a non-finite loss")
     gradient_clip: float = advanced(
         0.0, LIMITS, help="clip gradients at this multiple of their running norm (0: never)"
     )
@@ -119,7 +119,7 @@ class StylizeConfig:
         0,
         LIMITS,
         extent=True,
-        help="stop after this many style steps; a run interrupted there ends at once (0: use the budget)",
+        help="end after this many style steps; also finishes an interrupted run (0: use the budget)",
     )
     checkpoint_every_seconds: float = advanced(20.0, LIMITS, help="time between checkpoints", incidental=True)
 
@@ -182,7 +182,7 @@ class StylizeConfig:
         if self.stroke_by_depth:
             raise ValueError("--stroke-by-depth has no effect with --reference; leave it out")
         if self.keep_frame and not self.style:
-            raise ValueError("--keep-frame is of the style image, and --reference gives none; leave it out")
+            raise ValueError("--keep-frame has no effect with --reference; leave it out")
 
     def _check_weights(self, *names: str) -> None:
         for name in names:
@@ -197,25 +197,27 @@ class ArfConfig(StylizeConfig):
     rays: str = option(
         "auto",
         choices=("auto", "full", "deferred", "dilated", "random", "patch"),
-        help="rays of a view that receive gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
+        help="which rays of a view get gradients (auto: dilated for desrf on views over 256 pixels, else deferred)",
     )
     detail_rate: float = advanced(
         -1.0,
         GRID,
-        help="learning rate of its finest level, relative to levels five times as coarse or more (-1: 0.1 for a smooth "
+        help="learning rate of its finest level, relative to levels at least five times coarser (-1: 0.1 for a smooth "
         "style image to 1 for rough paint); views under 512 pixels slow fewer levels, and less",
     )
     margin: float = advanced(
         0.3,
         RAYS,
-        help="of whole captures: also stylize views that see this much farther to each side than the photos, where "
+        help="captures: also stylize views this much wider on each side than the photos, where "
         "camera paths may look (0: the photos' views alone)",
     )
-    dilation: int = advanced(2, RAYS, help="dilated: train every Nth ray in both axes; random, patch: as many rays")
+    dilation: int = advanced(
+        2, RAYS, help="with dilated, train every Nth ray in both axes; with random and patch, as many rays"
+    )
     blur: int = advanced(
         0, RAYS, help="box filter on the image gradient before rays are picked, odd (DeSRF: 3; 0: none)"
     )
-    remember: bool = advanced(True, RAYS, help="take rays without gradients from the view's last render")
+    remember: bool = advanced(True, RAYS, help="reuse the view's last render for rays without gradients")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -237,10 +239,8 @@ class DesrfConfig(ArfConfig):
     """DeSRF: ARF, and a deformation of the shapes."""
 
     method: str = option("desrf", choices=METHODS, help="desrf: colors and shapes")
-    bend: float = option(1.0, help="how far shapes bend, 0.25 to 4: at 2 twice as far as at 1")
-    deform_rate: float = advanced(
-        -1.0, SHAPES, help="learning rate of the deformation (-1: 0.06; of objects 0.024)"
-    )
+    bend: float = option(1.0, help="how far shapes bend relative to the default, 0.25 to 4")
+    deform_rate: float = advanced(-1.0, SHAPES, help="learning rate of the deformation (-1: 0.06, for objects 0.024)")
     displacement_weight: float = advanced(0.0, SHAPES, help="weight of the displacement's root mean square")
     displacement_vertices: int = advanced(32, SHAPES, help="vertices per side of the deformation's grid")
 
@@ -258,15 +258,19 @@ class DesrfConfig(ArfConfig):
 class SnerfConfig(StylizeConfig):
     """SNeRF: images are optimized in 2D, then the field learns them, in rounds."""
 
-    method: str = option("snerf", choices=METHODS, help="snerf: alternate images and field")
-    rounds: int = option(3, help="rounds of images, then field, that share the budget (two steps each at least)")
+    method: str = option("snerf", choices=METHODS, help="snerf: images and field in turn")
+    rounds: int = option(
+        3, help="rounds of image steps, then field steps, that share the budget (at least two steps each)"
+    )
     image_by: str = option(
-        "gram", choices=("gram", "features"), help="style distance of the images: Gram matrices, or as --match-by says"
+        "gram",
+        choices=("gram", "features"),
+        help="style loss of the images: Gram matrices, or features as in --match-by",
     )
     image_share: float = option(
-        0.75, help="fraction of a round spent on images (of a number of steps at most half, each view once)"
+        0.75, help="fraction of a round spent on images (with a step budget at most half, each view once)"
     )
-    image_steps: int = advanced(5, IMAGES, help="steps per visit of an image")
+    image_steps: int = advanced(5, IMAGES, help="steps per visit to an image")
     image_rate: float = advanced(0.03, IMAGES, help="learning rate of an image's pixels")
 
     def __post_init__(self) -> None:
@@ -301,22 +305,24 @@ class RefNprConfig(ArfConfig):
         "",
         choices=("", "gram", "features", "adain"),
         metavar="gram|features|adain",
-        help="how to make a reference if none is given: optimize its pixels by Gram matrices or as --match-by says, or "
-        "decode it (default: features)",
+        help="how to make a reference if none is given: optimize its pixels by Gram matrices or as in --match-by, or "
+        "run AdaIN (default: features)",
     )
     reference_view: str = option(
-        "", help="view to make a reference of (default: the one that sees most of what the others see)"
+        "", help="view to make the reference from (default: the one that shares most with the others)"
     )
     detail_rate: float = advanced(
-        1.0, GRID, help="learning rate of its finest level, relative to levels five times as coarse or more"
+        1.0, GRID, help="learning rate of its finest level, relative to levels at least five times coarser"
     )
     margin: float = advanced(
-        0.0, RAYS, help="of whole captures: also stylize views that see this much farther to each side than the photos"
+        0.0, RAYS, help="captures: also stylize views this much wider on each side than the photos"
     )
-    reference_steps: int = advanced(60, REFERENCE, help="steps of its pixels, at most a third of the budget")
-    image_rate: float = advanced(0.03, REFERENCE, help="learning rate of its pixels")
+    reference_steps: int = advanced(
+        60, REFERENCE, help="optimization steps of a made reference, at most a third of the budget"
+    )
+    image_rate: float = advanced(0.03, REFERENCE, help="learning rate of a made reference's pixels")
     reference_weight: float = advanced(
-        1.0, REFERENCE, help="weight of the squared color error on its own and on registered rays"
+        1.0, REFERENCE, help="weight of the squared color error on rays of the reference and rays registered to it"
     )
 
     @property

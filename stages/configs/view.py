@@ -11,11 +11,11 @@ HERE = ("127.0.0.1", "localhost", "::1")  # hosts that only this machine reaches
 class ViewConfig:
     """Where the viewer is served, and how large its pictures are."""
 
-    host: str = option("127.0.0.1", help="address to serve at; other than this machine's own adds a token to the URL")
-    port: int = option(8080, help="port to serve at (0: any free one)")
+    host: str = option("127.0.0.1", help="address to serve on; any but the local machine's adds a token to the URL")
+    port: int = option(8080, help="port to serve on (0: any free one)")
     open: bool = option(True, help="open the page in this machine's browser")
-    size: int = option(0, metavar="PIXELS", help="longer side of exact pictures (0: that of the scene's views)")
-    fps: float = advanced(12.0, help="pictures per second while the camera moves; sets their size")
+    size: int = option(0, metavar="PIXELS", help="longer side of still pictures (0: as the scene's views)")
+    fps: float = advanced(12.0, help="target frame rate while the camera moves, which sets their size")
 
     def __post_init__(self) -> None:
         if not self.host or not 0 <= self.port <= 65535:

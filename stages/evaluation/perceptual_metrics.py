@@ -120,7 +120,7 @@ class StyleImage:
         self, image: np.ndarray, features: str, side: int, device: str, field: Artifact | None = None
     ) -> None:
         """image: [h, w, 3] sRGB 0..1; [h, w, 4] if parts are transparent, which do not count. field: what is measured;
-        the judge is no network that stylized it."""
+        the judge is not a network that stylized it."""
         found = resolve.resolve(features or None)
         self.image, self.side, self.device = image, side, device
         self.network_name, self.network_source = found.name, found.source

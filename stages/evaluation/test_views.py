@@ -108,7 +108,7 @@ class SceneViews:
             if self._data.layout == "object":
                 mask = alpha[..., 0] > 0.5
                 color = color + (1 - alpha) * self.background
-            else:  # a capture's alpha is no transparency: its masks hide passers-by
+            else:  # a capture's alpha is not transparency: its masks hide passers-by
                 visible = alpha[..., 0] > HIDDEN
                 color = np.where(visible[..., None], color / np.maximum(alpha, HIDDEN), self.background)
         depth = self._data.truth_depth(index)

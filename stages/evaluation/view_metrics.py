@@ -35,7 +35,7 @@ class ViewRow:
     def measure(self, keys: tuple[str, ...], function: Callable[[], object], unmeasured: str = "") -> None:
         """Store what `function` returns under `keys`; if it raises InvalidValue, store None and a remark.
 
-        unmeasured: the remark if the first value is no number.
+        unmeasured: the remark if the first value is not a number.
         """
         try:
             found = function()

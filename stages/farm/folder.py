@@ -28,7 +28,7 @@ from stages.farm.table import Table
 
 JOBS = "jobs.json"
 PROGRAM = "STYLERF"  # environment variable that names another program, as for workflows/scene.sh
-THIS = [sys.executable, "-P", "-m", "stylerf_cli.main"]  # -P: the folder of a scene called `stages` is no package
+THIS = [sys.executable, "-P", "-m", "stylerf_cli.main"]  # -P: the folder of a scene called `stages` is not a package
 RUNTIME_FACTOR = 3.0  # of the expected seconds, until a scheduler may end a job
 MEMORY_FACTOR = 1.5  # of the largest peak measured
 LARGEST_RESULT = 4 << 20  # bytes

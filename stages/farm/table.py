@@ -303,7 +303,7 @@ def _methods(checks: _Checks, content: Mapping[str, Any], styled: bool) -> dict[
         own = dict(checks.mapping(options, where))
         method = own.pop("method", name)
         if method not in METHODS:
-            checks.fault(where, f"is no method of `stylize` with a style image; add method: {' or '.join(METHODS)}")
+            checks.fault(where, f"is not a method of `stylize` with a style image; add method: {' or '.join(METHODS)}")
             continue
         if {"style", "reference"} & {*own, *shared}:
             checks.fault(where, "names an image; style images are listed under styles")

@@ -17,7 +17,7 @@ def read_yaml(path: Path) -> Any:
     YAML lets a later key replace an earlier one silently, and aliases grow a file exponentially; both are refused.
 
     Raises:
-        UsageError: it is missing, is no YAML, or holds such things.
+        UsageError: it is missing, is not YAML, or holds such things.
         OutOfResources: the extra `farm` is not installed.
     """
     try:

@@ -11,7 +11,7 @@ LARGEST_SIDE = 1_000_000
 
 
 def entry_of(values: object, key: str, where: str, default: object = None) -> object:
-    """`values[key]`; BadInput where `values` is no object or lacks it, unless there is a default."""
+    """`values[key]`; BadInput where `values` is not an object or lacks it, unless there is a default."""
     if not isinstance(values, dict):
         raise BadInput(f"{where} is {printable(repr(values))[:40]}, expected an object")
     if key not in values and default is None:

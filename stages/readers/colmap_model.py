@@ -96,7 +96,7 @@ def read_model(folder: Path) -> Model:
         )
     if len(kinds) == 1:
         half = [name for name in there if not name.endswith(kinds[0]) and not name.startswith("points3D")]
-        unused = (f"{folder}: {half[0]} alone is no model and is not used",) if half else ()
+        unused = (f"{folder}: {half[0]} alone is not a model and is not used",) if half else ()
         return _model(folder, kinds[0], unused)
     try:
         binary = _model(folder, ".bin")
@@ -257,7 +257,7 @@ def _image(number: int, name: str, camera: int, pose: list[float]) -> ModelImage
     length = math.hypot(*quaternion)  # no warning where it overflows
     if not (np.isfinite(pose).all() and abs(length - 1) < ROUNDING):
         why = f": its quaternion has length {length:.3g}, expected 1" if math.isfinite(length) else ""
-        raise _Damaged(f"the pose of {printable(name)!r} is no rotation{why}")
+        raise _Damaged(f"the pose of {printable(name)!r} is not a rotation{why}")
     return ModelImage(number, name, camera, np.column_stack([rotation_of(quaternion / length), shift]))
 
 
@@ -306,7 +306,7 @@ class _Lines:
             yield f"line {self._at}", found
 
     def next(self, blank: bool) -> str | None:
-        """The next line that is no comment, with blank=True also a blank one; None at the end."""
+        """The next line that is not a comment, with blank=True also a blank one; None at the end."""
         while self._at < len(self._lines):
             line = self._lines[self._at].strip()
             self._at += 1

@@ -13,7 +13,7 @@ def inner_path(listed: str, where: str) -> str:
     """Return the listed path with forward slashes, without root or drive, and from after its last `..`.
 
     Raises:
-        BadInput: It is no valid path; the message begins with `where`.
+        BadInput: It is not a valid path; the message begins with `where`.
     """
     parts = _parts(listed)
     parts = parts[1:] if parts and re.fullmatch("[A-Za-z]:", parts[0]) else parts

@@ -85,7 +85,7 @@ def _chunk(path: Path) -> ElementTree.Element:
         parser.feed(read_bytes(path, MOST_BYTES))
         document = parser.close()
     except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise BadInput(f"{path} is no XML of Metashape ({error}); {EXPORT}") from error
+        raise BadInput(f"{path} is not XML of Metashape ({error}); {EXPORT}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}; {EXPORT}") from error
     chunks = [document] if document.tag == "chunk" else document.findall("chunk")

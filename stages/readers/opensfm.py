@@ -39,7 +39,7 @@ def read(source: Path, images: str) -> SourceScene:
         raise BadInput(f"{source} holds no reconstruction.json of OpenSfM; run OpenSfM's `reconstruct`")
     parts = read_json(path)
     if not isinstance(parts, list) or not all(isinstance(one, dict) and "shots" in one for one in parts) or not parts:
-        raise BadInput(f"{path} is no list of OpenSfM's reconstructions; run OpenSfM's `reconstruct` again")
+        raise BadInput(f"{path} is not a list of OpenSfM's reconstructions; run OpenSfM's `reconstruct` again")
     counts = [len(object_of(one, "shots", f"{path}: reconstruction {index}")) for index, one in enumerate(parts)]
     largest = int(np.argmax(counts))
     where = f"{path}: reconstruction {largest}"

@@ -26,7 +26,7 @@ def read(source: Path, images: str) -> SourceScene:
     content, root = read_json(path), path.parent
     poses = entry_of(content, "poses", str(path))
     if not isinstance(poses, list) or not poses:
-        raise BadInput(f"{path}: poses is no list of poses; export the recording again")
+        raise BadInput(f"{path}: poses is not a list of poses; export the recording again")
     places = (root / name for name in ("rgb", "rgbd", ""))
     folder = image_folder(root, images) if images else next(place for place in places if place.is_dir())
     photos = {int(photo.stem): photo for photo in images_in(folder) if photo.stem.isascii() and photo.stem.isdecimal()}

@@ -157,7 +157,7 @@ def _listed(path: Path) -> list[SourceCamera]:
         name = printable(str(entry_of(entry, "img_name", where, f"{place:05d}")))[:200].replace("\\", "/").strip("/")
         rows = entry_of(entry, "rotation", where)
         if not isinstance(rows, list) or len(rows) != 3:
-            raise BadInput(f"{where}: its rotation is no list of 3 rows")
+            raise BadInput(f"{where}: its rotation is not a list of 3 rows")
         pose = np.eye(4)
         pose[:3, :3] = [row(values, 3, f"{where}: its rotation") for values in rows]
         pose[:3, 3] = row(entry_of(entry, "position", where), 3, f"{where}: its position")

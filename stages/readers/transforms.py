@@ -174,7 +174,7 @@ def _beyond(content: dict, names: list[str], path: str) -> set[int]:
 
 
 def _listed(text: object, where: str) -> Path:
-    """Return a listed path with forward slashes; BadInput if it is no valid path."""
+    """Return a listed path with forward slashes; BadInput if it is not a valid path."""
     path = text.replace("\\", "/") if isinstance(text, str) else ""
     parts = path.encode("utf-8", "replace").split(b"/")
     if not path.strip("./ ") or max(map(len, parts)) > LONGEST_NAME or sum(map(len, parts)) > LONGEST_PATH:
@@ -327,7 +327,7 @@ def _undone(content: dict, path: str) -> tuple[np.ndarray, float]:
     if "applied_transform" in content:
         applied = _matrix(content["applied_transform"], f"{path}: applied_transform")
         if abs(np.linalg.det(applied[:3, :3]) - 1) > 1e-3:
-            raise BadInput(f"{path}: applied_transform is no rotation and shift; export it again")
+            raise BadInput(f"{path}: applied_transform is not a rotation and shift; export it again")
         undone = np.linalg.inv(applied)
     return undone, scale
 
@@ -338,7 +338,7 @@ def _matrix(values: object, where: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError, RecursionError):
         matrix = np.empty(0)
     if matrix.shape not in ((3, 4), (4, 4)):
-        raise BadInput(f"{where} is no 4x4 matrix; export it again")
+        raise BadInput(f"{where} is not a 4x4 matrix; export it again")
     if not np.isfinite(matrix).all():
         raise BadInput(f"{where} holds NaN or infinity; repair it or remove the photo from the list")
     if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):

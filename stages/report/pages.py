@@ -17,7 +17,7 @@ def escape(text: str) -> str:
 
 
 def number(value: object, digits: int) -> str:
-    """Format with `digits` decimals and a true minus sign; an en dash if the value is no finite number."""
+    """Format with `digits` decimals and a true minus sign; an en dash if the value is not a finite number."""
     if not is_number(value):
         return "–"
     return f"{value:.{digits}f}".replace("-", "−")

@@ -43,7 +43,7 @@ class Spec:
     """A stage: its name, the verb that runs it, its revision, and the kind of artifact that it writes.
 
     Raise `revision` if the same inputs and options give another result than before. parallel: several processes can run
-    it together (Context.processes). outside: for a stage that reads files which are no artifacts; returns their present
+    it together (Context.processes). outside: for a stage that reads files other than artifacts; returns their present
     digests, by the option that holds the digest they had when the stage was requested.
     """
 

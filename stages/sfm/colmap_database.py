@@ -59,7 +59,7 @@ def pairs(count: int, matching: str, clips: Sequence[int] = ()) -> list[tuple[in
     """Index pairs (i < j), near ones first.
 
     exhaustive: all. sequential: frames up to OVERLAP apart, those 2^k apart, and all pairs of key frames, which close
-    the loop where a walk comes back. clips: the number of each frame's clip; frames of two clips are no neighbors, and
+    the loop where a walk comes back. clips: the number of each frame's clip; frames of two clips are not neighbors, and
     twice as many of them are key frames, since nothing else joins their clips.
     """
     if matching == "exhaustive":

@@ -72,7 +72,7 @@ def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reco
     """The model with a second radial coefficient and the principal point set free, and whether that was done.
 
     COLMAP leaves both alone. On phone photos freeing them brought rotations from 0.6 to 0.2 degrees of reference poses
-    and the error down by 5 %. The model comes back as it was where a lens has few photos, or the result is no lens.
+    and the error down by 5 %. The model comes back as it was where a lens has few photos, or the result is not a lens.
     """
     used = [model.images[number].camera_id for number in model.reg_image_ids()]
     if any(used.count(number) < PHOTOS_TO_REFINE for number in set(used)):

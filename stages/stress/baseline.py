@@ -90,7 +90,7 @@ def _checked(content: dict) -> tuple[list[dict], dict]:
         if not (all(isinstance(one, int) for one in counts) and 0 <= counts[0] <= counts[1] and counts[1] > 0):
             raise ValueError(f"{counts[0]!r} of {counts[1]!r} runs")
         if wrong := [one for one in (cell["median"], cell["spread"]) if one is not None and not is_number(one)]:
-            raise ValueError(f"{wrong[0]!r} is no score")
+            raise ValueError(f"{wrong[0]!r} is not a score")
     return cells, made
 
 

@@ -17,7 +17,7 @@ def command(verb: str, work: Path | str, config: Any = None, **others: str) -> l
 
     Args:
         config: options of the verb; those that differ from their defaults are written.
-        others: arguments that are no options of a stage, such as of, region and name; empty ones are left out.
+        others: arguments that are not options of a stage, such as of, region and name; empty ones are left out.
     """
     arguments = [verb, str(work), *(flags_of(config) if config is not None else [])]
     for name, value in others.items():

@@ -27,7 +27,7 @@ SAME_PLACE = 0.03  # of the distance from the camera: how far apart two rays to 
 
 
 def place_of(field: RadianceField, camera: Camera, pixel: int, threads: int) -> np.ndarray:
-    """Return where the ray of a pixel ends, [3] scene units; BadInput if it meets nothing."""
+    """Return where the ray of a pixel ends, [3] scene units; BadInput if it hits nothing."""
     x, alpha = ends_of_rays(field, camera, np.array([pixel]), threads)
     if alpha[0] <= SEEN:
         raise BadInput("nothing of the field is there: click where it shows an object")
@@ -125,7 +125,7 @@ class Grower:
         return True
 
     def cells(self, selection: Selection) -> np.ndarray:
-        """Return the marked cells [s, s, s] bool of a selection; BadInput where it meets nothing."""
+        """Return the marked cells [s, s, s] bool of a selection; BadInput where it hits nothing."""
         self.prepare()
         config = selection.config()
         others = {}

@@ -50,7 +50,7 @@ class Mixtures:
 
     @staticmethod
     def room_for(camera: Camera, shown: Shown) -> "Mixtures | None":
-        """Return room for the mixtures of a picture; None if its colors are no mixtures."""
+        """Return room for the mixtures of a picture; None if its colors are not mixtures."""
         color = shown.left.field.color
         if not isinstance(color, Mixing) or shown.plane != "color":
             return None
@@ -74,7 +74,7 @@ class Painted:
         pose, shown: What it shows.
         camera: Of its pixels.
         out: [h, w, 6] as of interlaced.render_pixels.
-        mixtures: Of its colors, None if they are no mixtures.
+        mixtures: Of its colors, None if they are not mixtures.
     """
 
     pose: Pose

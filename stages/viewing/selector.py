@@ -51,7 +51,7 @@ class Selector:
         """
         found = self._seeds(pose, places, skipping=True)
         if not found:
-            raise BadInput("the stroke meets nothing of the field that a training view shows: draw over an object")
+            raise BadInput("the stroke hits nothing that a training view shows: draw over an object")
         name = "avoid" if avoid else "at"
         with self._display.lock:
             self.history.change(**{name: tuple(dict.fromkeys((*getattr(self.history.now, name), *found)))})

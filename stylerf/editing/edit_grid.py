@@ -144,7 +144,7 @@ def narrowest(sizes: list[int], neck: float) -> int:
     """Return the number of shells before the first neck, or of all shells.
 
     A neck begins where shell sizes, averaged over three, fall below `neck` times the largest so far, and is at their
-    minimum before they exceed it again. Sizes that only shrink are no neck.
+    minimum before they exceed it again. Sizes that only shrink are not a neck.
     """
     if neck <= 0 or len(sizes) < 3:
         return len(sizes)

@@ -51,7 +51,7 @@ class GpuPaletteModule(PaletteEvaluator):
 
     def features(self, x: Tensor, to: Tensor) -> Tensor:
         """Encode points of the box [n, 3] differentiably, [n, 4 levels]; backward adds dL/d(table) to `to`."""
-        # The hook makes autograd call backward although no input needs a gradient: the table is no leaf of the graph.
+        # The hook makes autograd call backward although no input needs a gradient: the table is no graph leaf.
         phi: Tensor = _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
         return phi
 

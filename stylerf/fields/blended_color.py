@@ -75,7 +75,7 @@ class BlendedColor:
 
     @property
     def simple(self) -> list[Layer]:
-        """The layers that are no blends, those of blended blends included."""
+        """The layers that are not blends, those of blended blends included."""
         found = []
         for layer in self.layers:
             found += layer.color.simple if isinstance(layer.color, BlendedColor) else [layer]
@@ -89,7 +89,7 @@ class BlendedColor:
     def shares(
         self, points: ShadingPoints, threads: int, arena: ScratchArena | None = None, of: np.ndarray | None = None
     ) -> Iterator[tuple[Layer, np.ndarray]]:
-        """Yield each layer that is no blend with its share of every point, [n] in 0..1; all shares add up to `of`.
+        """Yield each layer that is not a blend with its share of every point, [n] in 0..1; all shares add up to `of`.
 
         Args:
             points: on rays; shares of others are undefined.

@@ -128,7 +128,7 @@ def _check_distances(distances: np.ndarray) -> None:
         np.minimum(to[:-1], along[1:], out=to[:-1])
     # 254, since 255 + 1 is 0 in uint8.
     if (distances > np.minimum(lowest, 254) + 1).any():
-        raise InvalidValue("the array occupancy.distances holds what are no distances to occupied cells")
+        raise InvalidValue("the array occupancy.distances holds what are not distances to occupied cells")
 
 
 def _marked(highest: np.ndarray) -> np.ndarray:

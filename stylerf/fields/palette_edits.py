@@ -99,7 +99,7 @@ class PaletteEdits:
 def _index(text: str) -> int:
     """A color's number, as JSON has it for a key."""
     if not (text.isascii() and text.isdecimal() and len(text) <= 4):
-        raise InvalidValue(f"palette color {text[:20]!r} is no number")
+        raise InvalidValue(f"palette color {text[:20]!r} is not a number")
     return int(text)
 
 

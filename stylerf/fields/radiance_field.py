@@ -178,7 +178,7 @@ def _layer(data: dict, arrays: dict[str, np.ndarray], name: str, blends: int) ->
 
 
 def _color(data: dict, arrays: dict[str, np.ndarray], name: str, regions: int = MOST_REGIONS) -> ColorPart:
-    """Rebuild a color that is no blend. regions: how many may still be nested."""
+    """Rebuild a color that is not a blend. regions: how many may still be nested."""
     kind = validation.one_of(data, "kind", [*COLOR_KINDS, *([RegionColor.kind] if regions else [])])
     if kind != RegionColor.kind:
         return COLOR_KINDS[kind].restore(data, _values(arrays, name))

@@ -48,7 +48,7 @@ class HardStillLife:
 
     def __init__(self, kind: str, seed: int = 0) -> None:
         if kind not in VARIANTS:
-            raise InvalidValue(f"{kind!r} is no still life; there are {', '.join(VARIANTS)}")
+            raise InvalidValue(f"{kind!r} is not a still life; there are {', '.join(VARIANTS)}")
         self.kind = kind
         self.life = StillLife(0, thin_arrangement(seed) if kind == "thin" else None)
 

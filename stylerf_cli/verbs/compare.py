@@ -16,30 +16,37 @@ MOST_PAIRS, LARGEST_PAGE = 60, 1000  # ten minutes of a person; a page of a few 
 
 
 def add_arguments(parser: Parser) -> None:
-    """WORK..., --table, --out, --pairs, --of, --most, --votes."""
+    """WORK..., --table, --out, --pairs, --of, --max-pairs, --votes."""
     parser.add_argument("works", metavar="WORK", nargs="*", type=Path, help="the work folders")
     parser.add_argument(
         "--table",
         metavar="FILE",
         type=Path,
-        help="in place of WORK: compare what `stylerf farm` made of this table, by its axes",
+        help="compare the runs of a `stylerf farm` table, by its axes, instead of WORK",
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help=f"output folder (default: {FOLDER} in the first WORK)")
     parser.add_argument(
         "--pairs",
         action="store_true",
-        help="instead write pairs.html, where people choose between stylizations without knowing which is which",
+        help="write pairs.html instead, a blind test: people choose between unnamed stylizations",
     )
     parser.add_argument(
         "--of",
         metavar="FIELD",
         action="append",
         default=[],
-        help="stylized field to show on that page; repeatable (default: all)",
+        help="with --pairs, a stylized field to show; repeatable (default: all)",
     )
-    parser.add_argument("--most", metavar="N", type=int, help=f"pairs on that page, at most (default: {MOST_PAIRS})")
     parser.add_argument(
-        "--votes", metavar="FILE", nargs="+", type=Path, default=[], help="instead count votes saved from such pages"
+        "--max-pairs", metavar="N", type=int, help=f"with --pairs, how many at most (default: {MOST_PAIRS})"
+    )
+    parser.add_argument(
+        "--votes",
+        metavar="FILE",
+        nargs="+",
+        type=Path,
+        default=[],
+        help="count the votes saved from such pages instead",
     )
 
 
@@ -47,10 +54,10 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     """Return what compare.json, a page's key or votes.json holds, with the paths of what was written."""
     if args.pairs and args.votes:
         raise UsageError("--pairs writes a page to vote on, --votes counts votes; give one of them")
-    if not args.pairs and (args.of or args.most is not None):
-        raise UsageError("--of and --most choose what --pairs shows; add --pairs")
-    if args.most is not None and not 1 <= args.most <= LARGEST_PAGE:
-        raise UsageError(f"--most {args.most}: expected 1 to {LARGEST_PAGE} pairs")
+    if not args.pairs and (args.of or args.max_pairs is not None):
+        raise UsageError("--of and --max-pairs choose what --pairs shows; add --pairs")
+    if args.max_pairs is not None and not 1 <= args.max_pairs <= LARGEST_PAGE:
+        raise UsageError(f"--max-pairs {args.max_pairs}: expected 1 to {LARGEST_PAGE} pairs")
     if args.table is not None:
         return _table(args, session)
     if not args.works:
@@ -90,7 +97,7 @@ def _table(args: Any, session: Session) -> dict[str, Any]:
 def _pairs(args: Any, works: list[WorkFolder], out: Path, session: Session) -> dict[str, Any]:
     from stages.comparison.pairs import KEYS, PAGE, written_pairs
 
-    seed, most = session.common.seed, args.most or MOST_PAIRS
+    seed, most = session.common.seed, args.max_pairs or MOST_PAIRS
     key = written_pairs(works, out, args.of, most, seed)
     result = {
         "page": out / PAGE,

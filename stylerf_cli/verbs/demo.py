@@ -1,4 +1,4 @@
-"""`stylerf demo`: the whole pipeline on an embedded scene."""
+"""`stylerf demo`: the whole pipeline on a built-in procedural scene."""
 
 from typing import Any
 

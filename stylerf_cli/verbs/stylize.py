@@ -62,7 +62,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--region",
         metavar="REGION",
-        help="recolor or stylize a region alone; see `stylerf stylize --region NAME --help`",
+        help="recolor or stylize only this region; see `stylerf stylize --region NAME --help`",
     )
 
 

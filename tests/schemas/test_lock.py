@@ -1,4 +1,4 @@
-"""Locks: one writer, whoever deletes or links what; a file that is no lock is never written to."""
+"""Locks: one writer, whoever deletes or links what; a file that is not a lock is never written to."""
 
 import errno
 import multiprocessing

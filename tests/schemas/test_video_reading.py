@@ -133,7 +133,7 @@ def cut(path):
 
 
 def text(path):
-    path.write_text("this is no video")
+    path.write_text("this is not a video")
 
 
 def garbled(path):

@@ -44,7 +44,7 @@ def test_files_and_json_tell_the_same_and_nothing_else_changes(work, capsys):
     for path, time in before.items():
         if path != work.root:
             assert path.stat().st_mtime_ns == time
-    assert main(["verify", str(work.root), "--quiet"]) == 0  # what it writes is no artifact and spoils none
+    assert main(["verify", str(work.root), "--quiet"]) == 0  # what it writes is not an artifact and spoils none
 
 
 def test_words_and_another_place(work, tmp_path, capsys):
@@ -128,9 +128,9 @@ def test_votes_on_a_page_of_pairs_are_counted(stylized, tmp_path, capsys):
     ("arguments", "code", "words"),
     [
         (["--pairs", "--votes", "a.json"], 2, "give one of them"),
-        (["--most", "5"], 2, "add --pairs"),
+        (["--max-pairs", "5"], 2, "add --pairs"),
         (["--of", "red"], 2, "add --pairs"),
-        (["--pairs", "--most", "0"], 2, "--most 0: expected 1 to"),
+        (["--pairs", "--max-pairs", "0"], 2, "--max-pairs 0: expected 1 to"),
         (["--pairs", "--of", "green"], 2, "--of green: no such stylization"),
         (["--pairs", "--of", "red"], 4, "no two stylizations"),
         (["--votes", "gone.json"], 3, "gone.json: no such file"),

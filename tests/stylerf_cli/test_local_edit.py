@@ -480,7 +480,7 @@ def test_seeds_that_meet_nothing_are_refused_or_reported(edited, middle, capsys,
     row, column = np.argwhere(empty)[0]
     nowhere = f"{first}:{column},{row}"
     for flags in (("--at", nowhere), ("--avoid", nowhere)):
-        assert f"{nowhere} meets nothing" in refused(
+        assert f"{nowhere} hits nothing" in refused(
             capsys, "select", edited, "--at", middle, *flags, "--name", "seeds"
         )
     x, y = map(int, middle.partition(":")[2].split(","))
@@ -490,7 +490,7 @@ def test_seeds_that_meet_nothing_are_refused_or_reported(edited, middle, capsys,
     write_png(tmp_path / "drawn.png", scribble)
     drawn = ("--scribble", f"{first}={tmp_path}/drawn.png", "--name", "seeds")
     assert main(["select", str(edited), *drawn]) == 0
-    assert "75% of the scribble meets nothing" in capsys.readouterr().err
+    assert "75% of the scribble hits nothing" in capsys.readouterr().err
     write_png(tmp_path / "drawn.png", 255 * empty.astype(np.uint8))
     assert "no pixel of the scribble meets anything" in refused(capsys, "select", edited, *drawn)
 

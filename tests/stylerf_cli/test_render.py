@@ -200,7 +200,7 @@ def test_frames_that_fit_made_are_those_that_render_would_make(work, tmp_path, c
     assert main(["fit", str(work), *fit, "--quiet"]) == 0
     assert main(["render", str(work), "--of", "short", "--path", "views"]) == 0
     assert "is up to date" in capsys.readouterr().err
-    assert main(["fit", str(work), *fit, "--config", str(options), "--quiet"]) == 0  # photos in no order are no film
+    assert main(["fit", str(work), *fit, "--config", str(options), "--quiet"]) == 0  # photos in no order are not film
     assert not list((work / "frames" / "short-views").glob("video.*"))
 
 

@@ -90,7 +90,7 @@ def test_files_and_json_tell_the_same(folder, runs, capsys):
     with open(out / "runs.csv", newline="") as stream:
         assert len([*csv.DictReader(stream)]) == 15
     assert (folder / "scene" / "main" / "manifest.json").stat().st_mtime_ns == before
-    assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is no artifact of this work folder
+    assert main(["verify", str(folder), "--quiet"]) == 0  # what it writes is not an artifact of this work folder
 
 
 def test_leftovers_of_a_killed_run_are_deleted(folder, runs):

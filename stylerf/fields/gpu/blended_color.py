@@ -29,7 +29,7 @@ class GpuBlendedColor:
         self.values = torch.empty(0, device=device)
 
     def shares(self, samples: GpuSamples, of: Tensor) -> Iterator[tuple[_Layer, Tensor]]:
-        """Yield each layer that is no blend with its share [capacity] of every sample; all add up to `of`."""
+        """Yield each layer that is not a blend with its share [capacity] of every sample; all add up to `of`."""
         for number, layer in enumerate(self.layers):
             own = of * layer.weight
             if layer.within is not None:

@@ -104,7 +104,7 @@ def entry(**changes) -> dict:
         (path_of_nerfstudio(render_width=0), "gives a size of 0x36"),
         (path_of_nerfstudio(render_width=1e6 - 1), "camera 0 has 999999x36 pixels; at most"),
         (path_of_nerfstudio(camera_path=[]), "a list of cameras was expected, it is empty"),
-        (path_of_nerfstudio(camera_path=4), "camera_path is no list"),
+        (path_of_nerfstudio(camera_path=4), "camera_path is not a list"),
         (path_of_nerfstudio(camera_path=[4]), "camera 0 is 4, expected an object"),
         ({"keyframes": [], "fps": 24}, "is an object of fps, keyframes; a list of cameras was expected"),
         (entry(fov=0), "camera 1: fov is 0 degrees"),

@@ -161,7 +161,7 @@ def test_a_camera_on_a_moving_scaled_rig_is_followed(scene, tmp_path, up):
         ({"text": "#usda 1.0\n"}, "has 0 cameras"),
         ({"text": "no usd"}, "USD file"),
         ({"end": "1e9"}, "at most 100,000"),
-        ({"end": "-5"}, "no range of frames"),
+        ({"end": "-5"}, "not a range of frames"),
         ({"focal": "0"}, "not positive"),
         ({"focal": "nan"}, "not positive"),
         ({"more": 'def Camera "other" {{}}'.replace("{{}}", "{\n}")}, "has 2 cameras"),

@@ -78,7 +78,7 @@ def test_a_file_counts_once_and_damage_is_named(out):
         read_votes([out / "gone.json"], out)
     key = out / "pairs" / f"{PAGE}.json"
     key.write_text(key.read_text().replace('"left": 1', '"left": 7'))
-    with pytest.raises(BadInput, match="is no key of a page: left is 7"):
+    with pytest.raises(BadInput, match="is not a key of a page: left is 7"):
         read_votes([first], out)
 
 

@@ -232,7 +232,7 @@ def rows_missing(root: Path) -> None:
 
 
 SAID = {
-    "incomplete-beside-whole": (incomplete, "cameras.bin alone is no model and is not used", 6),
+    "incomplete-beside-whole": (incomplete, "cameras.bin alone is not a model and is not used", 6),
     "incomplete-beside-llff": (incomplete_beside_llff, "sparse/0 lacks cameras or images and is not used", 6),
     "damaged-binary-beside-text": (damaged_binary, "images.bin is damaged (cut short at byte", 6),
     "another-text-beside-binary": (another_text, "its text is another model (4 photos, 4 of them as in the binary", 6),
@@ -344,13 +344,13 @@ REFUSED = {
     "no-regular-file": (pipe, "is incomplete"),
     "zero-quaternion": (
         with_pose(3, 1, "0", "0", "0", "0"),
-        "line 8: the pose of '003.png' is no rotation: its quaternion has",
+        "line 8: the pose of '003.png' is not a rotation: its quaternion has",
     ),
     "scaled-quaternion": (
         with_pose(3, 1, "1", "1", "0", "0"),
-        "line 8: the pose of '003.png' is no rotation: its quaternion has length 1.41",
+        "line 8: the pose of '003.png' is not a rotation: its quaternion has length 1.41",
     ),
-    "nan": (with_pose(3, 5, "nan"), "line 8: the pose of '003.png' is no rotation"),
+    "nan": (with_pose(3, 5, "nan"), "line 8: the pose of '003.png' is not a rotation"),
     "words-for-numbers": (
         with_pose(3, 5, "far"),
         "line 8: expected a photo (number, quaternion, translation, camera, name)",

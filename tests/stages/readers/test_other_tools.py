@@ -315,11 +315,11 @@ REFUSED = {
     ),
     "metashape-cut-short": (
         lambda root: (metashape(root), (root / "cameras.xml").write_text((root / "cameras.xml").read_text()[:900])),
-        "is no XML of Metashape",
+        "is not XML of Metashape",
     ),
     "metashape-other-xml": (
         lambda root: (photos(root), (root / "cameras.xml").write_text("x")),
-        "is no XML of Metashape",
+        "is not XML of Metashape",
     ),
     "opensfm-spherical": (
         lambda root: opensfm(root, "spherical", {"focal": 1}),
@@ -327,7 +327,7 @@ REFUSED = {
     ),
     "opensfm-other-json": (
         lambda root: (photos(root), (root / "reconstruction.json").write_text("{}")),
-        "is no list of OpenSfM's reconstructions",
+        "is not a list of OpenSfM's reconstructions",
     ),
     "opensfm-camera-missing": (
         lambda root: opensfm(root, change=lambda part: part | {"cameras": {}}),
@@ -370,7 +370,7 @@ def test_a_resolution_of_metashape_with_thousands_of_digits_is_refused(tmp_path)
 def test_deeply_nested_xml_is_refused(tmp_path):
     metashape(tmp_path / "capture")
     (tmp_path / "capture/cameras.xml").write_text("<document>" * 300_000)
-    with pytest.raises(BadInput, match="is no XML of Metashape"):
+    with pytest.raises(BadInput, match="is not XML of Metashape"):
         imported(tmp_path / "capture", tmp_path / "work")
 
 

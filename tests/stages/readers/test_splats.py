@@ -93,7 +93,7 @@ FAULTS = {
     "nan": (changed("fx", float("nan")), "camera 2: fx holds nan"),
     "negative": (changed("fx", -3.0), "focal length -3"),
     "no rotation": (changed("rotation", [[1, 0, 0]] * 3), "im_02: "),
-    "two rows": (changed("rotation", [[1, 0, 0]] * 2), "camera 2: its rotation is no list of 3 rows"),
+    "two rows": (changed("rotation", [[1, 0, 0]] * 2), "camera 2: its rotation is not a list of 3 rows"),
     "huge": (changed("width", 10**9), "gives a size of 1e"),
     "elsewhere": (
         lambda listed: [one | {"position": [1e5, 0, 0], "rotation": np.eye(3).tolist()} for one in listed],

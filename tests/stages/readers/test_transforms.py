@@ -525,7 +525,7 @@ def _(source, tmp_path):
         found = read(source, content | reported | {"applied_transform": turn[:3].tolist()})
         np.testing.assert_allclose(poses(found), TRUE_POSES, atol=1e-12)
         assert found.kind == "transforms.json of nerfstudio" and not found.remarks
-    assert "applied_transform is no rotation" in refusal(source, listed(applied_transform=(3 * turn).tolist()[:3]))
+    assert "applied_transform is not a rotation" in refusal(source, listed(applied_transform=(3 * turn).tolist()[:3]))
     assert "applied_scale is 0" in refusal(source, listed(applied_scale=0))
 
 

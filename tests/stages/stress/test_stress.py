@@ -360,7 +360,7 @@ def test_options_choose_and_refuse():
 
 
 def test_what_a_mask_hides_in_a_capture_judges_no_method(monkeypatch):
-    """What is transparent in an object's photo is no object; in a capture's it is hidden: nothing is asked there."""
+    """Transparency in an object's photo is background; in a capture's it is hidden: nothing is asked there."""
     camera = Camera("v", 16, 16, 14.0, 14.0, 8.0, 8.0, np.eye(4))
     pixels = np.full((16, 16, 4), 0.25, np.float32)
     pixels[..., 3] = 1.0

@@ -112,7 +112,7 @@ def test_another_palette_is_shown_at_once_nearly_right_then_exactly(library, pai
     board.done.clear()
     painter.show(Shown(library.source("plain"), other))
     assert board.done.wait(60)
-    assert np.abs(board.sent[-1][0].astype(int) - first).max() > 10, "another field is no change of the palette"
+    assert np.abs(board.sent[-1][0].astype(int) - first).max() > 10, "another field is not a change of the palette"
 
 
 def test_what_a_page_draws_itself_is_painted_at_rest_alone(library, painter):

@@ -315,7 +315,7 @@ def test_damaged_and_foreign_files_are_refused_in_words(nowhere):
         resolve.resolve(nowhere / "scale.safetensors")
     with h5py.File(nowhere / "huge.h5", "w") as file:
         file.create_dataset("block1/layers/conv2d/vars/0", (10**7, 10**7), "f4", chunks=(1000, 1000))
-    with pytest.raises(BadInput, match="is no weight of a VGG-16"):
+    with pytest.raises(BadInput, match="is not a weight of a VGG-16"):
         resolve.resolve(nowhere / "huge.h5")
     state = layers()
     state["conv1_1.weight"][0, 0, 0, 0] = torch.nan

@@ -167,7 +167,7 @@ def test_views_without_the_region_show_nothing(field):
 
 
 def test_pairs_are_the_neighbors_that_both_show_the_region():
-    pixels = np.array([0, 1, 3, 4, 7, 11])  # of a picture 4 wide: 3 and 4 are no neighbors
+    pixels = np.array([0, 1, 3, 4, 7, 11])  # of a picture 4 wide: 3 and 4 are not neighbors
     n = len(pixels)
     blank = {name: np.zeros((n, 3), np.float32) for name in ("x", "along", "directions", "target")}
     view = EditView(0, 4, 3, pixels, *blank.values(), *(np.zeros(n, np.float32),) * 5, np.zeros((n, 2), np.float32))

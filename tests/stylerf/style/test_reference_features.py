@@ -96,7 +96,7 @@ def test_coarse_colors_are_those_of_the_likest_cell_unless_it_is_strange():
 
 
 def test_where_the_object_is_not_nothing_is_sought_found_or_requested():
-    """The reference's right half is no object: its looks there must not be taken over, however like the content is."""
+    """The reference's right half is background: its looks there must not be taken over, however alike."""
     alpha = torch.zeros(HEIGHT, WIDTH)
     alpha[:, : WIDTH // 2] = 1
     masked = templates(alpha)
