@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, OutOfResources
 from schemas.safe_names import printable
 from schemas.safe_reading import opened
 from stages.artifacts.placed_cameras import CameraFile, check_count, in_scene
@@ -27,13 +27,13 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
     aperture's aspect. Coordinates are the source's units, turned so that the file's axis is up.
 
     Raises:
-        UsageError: usd-core is not installed.
+        OutOfResources: usd-core is not installed.
         BadInput: it is not a USD file, refers to other files, or has not one camera.
     """
     try:
         from pxr import Sdf, Tf, Usd, UsdGeom
     except ImportError as error:
-        raise UsageError(
+        raise OutOfResources(
             f"{where} needs usd-core, which cannot be imported ({error}); pip install 'stylerf[export]'"
         ) from error
     with opened(path) as stream:

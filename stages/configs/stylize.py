@@ -89,7 +89,7 @@ class StylizeConfig:
     coarse: float = advanced(
         -1.0,
         LOSS,
-        help="initial fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
+        help="first fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
         "desrf deforms an object; refnpr: 0)",
     )
     style_rows: int = advanced(4096, LOSS, help="maximum number of style features to match")

@@ -4,7 +4,7 @@ import importlib
 import sys
 from typing import Any
 
-from schemas.errors import UsageError
+from schemas.errors import OutOfResources
 
 PACKAGES = {"pxr": "usd-core", "pygltflib": "pygltflib", "fast_simplification": "fast-simplification", "gsply": "gsply"}
 OF_FORMATS = {"usd": "pxr", "usda": "pxr", "usdc": "pxr", "glb": "pygltflib", "spz": "gsply"}
@@ -19,7 +19,7 @@ def check_formats(kind: str, formats: tuple[str, ...]) -> None:
 
 
 def needed(module: str, purpose: str) -> Any:
-    """Import a library; UsageError that says how to install it where it is missing.
+    """Import a library; OutOfResources that says how to install it where it is missing.
 
     Args:
         module: its name, with the submodule that is wanted.
@@ -32,4 +32,4 @@ def needed(module: str, purpose: str) -> Any:
         how = "pip install 'stylerf[export]'"
         if package == "gsply" and sys.version_info >= (3, 14):
             how = "it has no wheel for Python 3.14, so choose another format"
-        raise UsageError(f"{purpose} needs {package}, which cannot be imported ({error}); {how}") from error
+        raise OutOfResources(f"{purpose} needs {package}, which cannot be imported ({error}); {how}") from error

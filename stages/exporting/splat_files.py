@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, OutOfResources
 from stages.configs.export import ExportConfig
 from stages.exporting import usd_stage
 from stages.exporting.libraries import needed
@@ -162,11 +162,11 @@ def write_usd(path: Path, splats: Gaussians, config: ExportConfig) -> None:
 
 
 def check_usd() -> None:
-    """Raise UsageError if the installed OpenUSD has no prim for splats."""
+    """Raise OutOfResources if the installed OpenUSD has no prim for splats."""
     volumes, usd = needed("pxr.UsdVol", "USD"), needed("pxr.Usd", "USD")
     if not hasattr(volumes, "ParticleField3DGaussianSplat"):
         year, month = usd.GetVersion()[1:]
-        raise UsageError(
+        raise OutOfResources(
             f"USD splats need OpenUSD 26.03 or later, this is {year}.{month:02}; pip install -U usd-core, or choose "
             "another format"
         )

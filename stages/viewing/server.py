@@ -42,7 +42,8 @@ class Viewer:
             common: arguments of every command that the page runs.
 
         Raises:
-            UsageError: viser is missing, or there is no such field.
+            UsageError: There is no such field.
+            OutOfResources: viser is missing, or another viewer holds the folder.
             ArtifactStale: the folder holds no scene or no field.
             OutOfResources: another viewer holds the folder (the message names it), or the port is taken.
         """
@@ -111,7 +112,7 @@ def _viser() -> Any:
         import rich
         import viser
     except ImportError as error:
-        raise UsageError(
+        raise OutOfResources(
             f"the viewer needs viser, which cannot be imported ({error}); pip install 'stylerf[view]'"
         ) from error
     rich.get_console().quiet = True  # viser prints where it serves, and that it has stopped

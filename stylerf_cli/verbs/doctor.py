@@ -38,6 +38,8 @@ PACKAGES: dict[str, tuple[str, bool]] = {
     "fast-simplification": ("exported meshes of fewer triangles (--faces)", False),
     "usd-core": ("exports as USD", False),
     "gsply": ("splats as SPZ", False),
+    "snakemake": ("`stylerf farm`", False),
+    "PyYAML": ("`stylerf farm`", False),
     "triton": ("compiled kernels on CUDA", False),
 }
 HOW = {
@@ -46,6 +48,7 @@ HOW = {
     **dict.fromkeys(("pygltflib", "fast-simplification", "usd-core"), "pip install 'stylerf[export]'"),
     "gsply": "pip install 'stylerf[export]', with Python 3.11 to 3.13",
     "stlpips_pytorch": "pip install 'stylerf[perceptual]'",
+    **dict.fromkeys(("snakemake", "PyYAML"), "pip install 'stylerf[farm]', with Python 3.11 to 3.13"),
     "triton": "comes with a CUDA build of torch, on Linux",
 }
 SCARCE_DISK_GB = 2.0

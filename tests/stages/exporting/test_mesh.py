@@ -9,7 +9,7 @@ import pygltflib
 import pytest
 import trimesh
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, OutOfResources
 from schemas.images import linear_from_srgb
 from schemas.scene import read_scene, write_scene
 from schemas.work_folder import Artifact, Recipe, WorkFolder
@@ -219,13 +219,13 @@ def test_a_field_of_nothing_is_refused(inputs, tmp_path):
 def test_a_missing_library_is_named_with_the_command_that_installs_it(inputs, tmp_path, monkeypatch):
     monkeypatch.setitem(libraries.OF_FORMATS, "glb", "pygltflib_that_is_not_there")
     monkeypatch.setitem(libraries.PACKAGES, "pygltflib_that_is_not_there", "pygltflib")
-    with pytest.raises(UsageError, match=r"--format glb needs pygltflib.*pip install 'stylerf\[export\]'"):
+    with pytest.raises(OutOfResources, match=r"--format glb needs pygltflib.*pip install 'stylerf\[export\]'"):
         exported(tmp_path, inputs, **SMALL)
 
 
 def test_a_mesh_without_the_library_for_fewer_triangles_says_what_to_do(inputs, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "fast_simplification", None)
-    with pytest.raises(UsageError, match=r"at most 2,000 triangles \(--faces 0: of all\) needs fast-simplif.*pip"):
+    with pytest.raises(OutOfResources, match=r"at most 2,000 triangles \(--faces 0: of all\) needs fast-simplif.*pip"):
         exported(tmp_path, inputs, **SMALL, formats="ply")
     exported(tmp_path, inputs, **SMALL | {"faces": 0}, formats="ply")
 

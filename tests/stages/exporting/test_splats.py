@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from schemas.errors import BadInput, UsageError
+from schemas.errors import BadInput, OutOfResources
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.field import save_field
 from stages.configs.export import ExportConfig
@@ -86,7 +86,7 @@ def test_a_usd_file_of_splats_has_a_ply_beside_it(inputs, tmp_path):
 def test_an_openusd_without_splats_is_refused_before_anything_is_computed(monkeypatch):
     monkeypatch.delattr(pytest.importorskip("pxr.UsdVol"), "ParticleField3DGaussianSplat", raising=False)
     job = SimpleNamespace(config=ExportConfig(kind="splats", formats="ply,usdc"))
-    with pytest.raises(UsageError, match=r"need OpenUSD 26\.03 or later"):
+    with pytest.raises(OutOfResources, match=r"need OpenUSD 26\.03 or later"):
         splats.write(job)
 
 
@@ -115,15 +115,15 @@ def test_impossible_splats_are_refused(wrong):
 def test_missing_libraries_are_named(monkeypatch):
     monkeypatch.setitem(libraries.PACKAGES, "no_such_library", "gsply")
     monkeypatch.setitem(libraries.OF_FORMATS, "spz", "no_such_library")
-    with pytest.raises(UsageError, match="gsply"):
+    with pytest.raises(OutOfResources, match="gsply"):
         libraries.check_formats("splats", ("spz",))
     monkeypatch.setattr(libraries.sys, "version_info", (3, 14))
-    with pytest.raises(UsageError, match=r"no wheel for Python 3\.14, so choose another format"):
+    with pytest.raises(OutOfResources, match=r"no wheel for Python 3\.14, so choose another format"):
         libraries.needed("no_such_library", "--format spz")
 
 
 def test_splats_as_glb_need_no_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygltflib", None)
     libraries.check_formats("splats", ("glb", "ply"))
-    with pytest.raises(UsageError, match="--format glb needs pygltflib"):
+    with pytest.raises(OutOfResources, match="--format glb needs pygltflib"):
         libraries.check_formats("mesh", ("glb",))
