@@ -14,7 +14,7 @@ from schemas.migrations import current_arrays, current_json
 from schemas.safe_reading import read_json
 from schemas.tensors import load_tensors
 
-# The command that makes each kind of artifact; WORK stands for the work folder.
+# The command that makes each kind of artifact; WORK is the work folder.
 MADE_BY: dict[str, str] = {
     "scene": "stylerf import PHOTOS WORK",
     "field": "stylerf fit WORK",
@@ -74,12 +74,12 @@ class Artifact:
 
     @property
     def kind(self) -> str:
-        """The kind that the manifest states."""
+        """The kind recorded in the manifest."""
         return self.manifest.kind
 
     @property
     def name(self) -> str:
-        """The folder's name, which the manifest's may differ from after a rename or a copy."""
+        """The folder's name, which may differ from the manifest's after a rename or a copy."""
         return self._name or self.path.name
 
     @property
@@ -106,7 +106,9 @@ class Artifact:
         path = self.path / relative
         steps = [path, *path.parents[: relative.count("/")]]
         if link := next((step for step in reversed(steps) if step.is_symlink()), None):
-            raise ArtifactDamaged(f"{link} is a link; artifacts hold none; rebuild it: {self.rebuild_command()}")
+            raise ArtifactDamaged(
+                f"{link} is a link, which artifacts must not contain; rebuild it: {self.rebuild_command()}"
+            )
         if not path.is_file():
             raise ArtifactDamaged(f"{self.path} lacks {relative}; rebuild it: {self.rebuild_command()}")
         return path
@@ -161,12 +163,12 @@ class Artifact:
 
 
 def added_files(folder: Path, listed: set[str]) -> list[Path]:
-    """Return files in `folder` that are neither its manifest, nor `listed`, nor left there by a desktop."""
+    """Return files in `folder` that are neither its manifest, nor `listed`, nor created by a desktop."""
     # A link to a folder counts as a file: its target may change unnoticed.
     items = (item for item in folder.rglob("*") if item.is_symlink() or not (item.is_dir() or is_desktop_file(item)))
     return sorted(item for item in items if item.relative_to(folder).as_posix() not in listed | {MANIFEST})
 
 
 def is_desktop_file(path: Path) -> bool:
-    """Whether macOS, Windows or KDE leave files of this name in folders that they display."""
+    """Return whether macOS, Windows or KDE leave files of this name in folders that they display."""
     return path.name.startswith("._") or path.name.lower() in (".ds_store", "thumbs.db", "desktop.ini", ".directory")

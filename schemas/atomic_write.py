@@ -1,4 +1,4 @@
-"""Atomic file writes, with clear errors when the machine refuses.
+"""Atomic file writes, with clear errors if the machine refuses.
 
 A file is written under a hidden name in the same folder, flushed to disk, and renamed: readers, and the next run after
 a power cut, see the old bytes or the new ones, never a mixture.
@@ -30,13 +30,15 @@ def out_of_resources(error: OSError, path: Path | str) -> OutOfResources | None:
     """Translate an OSError for lack of space, permission, file handles or memory; return None for any other."""
     place = error.filename if isinstance(error.filename, str) else path
     if error.errno in _NO_SPACE:
-        return OutOfResources(f"no space left to write {place} ({_free(path)}); free some and run the same command")
+        return OutOfResources(
+            f"no space left to write {place} ({_free(path)}); free some space and run the same command"
+        )
     if error.errno in _NO_PERMISSION:
-        return OutOfResources(f"no permission for {place}; choose a folder you may write to, or change its mode")
+        return OutOfResources(f"no permission for {place}; choose a writable folder, or change its permissions")
     if error.errno in _NO_HANDLES:
         return OutOfResources(f"too many open files to write {place}; raise `ulimit -n` and run the same command")
     if error.errno in _NO_MEMORY:
-        return OutOfResources(f"out of memory at {place}; free some and run the same command")
+        return OutOfResources(f"out of memory at {place}; free some memory and run the same command")
     return None
 
 
@@ -47,7 +49,7 @@ def _free(path: Path | str) -> str:
     try:
         return f"{shutil.disk_usage(folder).free / 1e6:.1f} MB free in {folder}"
     except OSError:
-        return f"free space of {folder} unknown"
+        return f"free space in {folder} unknown"
 
 
 @contextmanager
@@ -80,7 +82,7 @@ def sync_folder(path: Path) -> None:
 
 def sync_file(path: Path) -> None:
     """Flush the bytes of a file to the disk, if it can."""
-    _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes only what is open for writing
+    _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # Windows flushes only files that are open for writing
 
 
 def _sync(path: Path, flags: int) -> None:
@@ -112,12 +114,12 @@ def replacing(path: Path) -> Iterator[Path]:
             os.replace(temporary, path)
             sync_folder(path.parent)
     finally:
-        # After a successful rename nothing is left under this name.
+        # After a successful rename nothing remains under this name.
         temporary.unlink(missing_ok=True)
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether the name of `path` is that of an interrupted write's leftover."""
+    """Return whether the name of `path` is that of an interrupted write's leftover."""
     return path.name.startswith(".") and TEMPORARY_SUFFIX in (path.suffix, Path(path.stem).suffix)
 
 
@@ -125,7 +127,7 @@ def is_temporary(path: Path) -> bool:
 def sweeping(folders: Collection[Path]) -> Iterator[None]:
     """On leaving, delete leftovers of interrupted writes that were in these folders on entering.
 
-    Files that another process began to write since are left alone.
+    Files that another process has begun to write since are not touched.
     """
     leftovers = [path for folder in folders for path in folder.glob(".*") if is_temporary(path)]
     try:

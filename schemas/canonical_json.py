@@ -46,7 +46,7 @@ def plain(value: Any) -> Any:
 
 
 def canonical_json(value: Any) -> bytes:
-    """Encode `value` as UTF-8 JSON with sorted keys and no spaces; digests are taken of these bytes."""
+    """Encode `value` as UTF-8 JSON with sorted keys and no spaces; digests are computed from these bytes."""
     text = json.dumps(plain(value), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return text.encode("utf-8", "surrogatepass")
 

@@ -17,7 +17,7 @@ _TINY = np.float32(1e-7)
 
 @dataclass(frozen=True, eq=False)
 class DeepSamples:
-    """Samples of a view, those of a pixel one after another, front to back, pixels row by row.
+    """Samples of a view: pixels row by row, the samples of each pixel front to back.
 
     Attributes:
         counts: [h, w], samples of each pixel.
@@ -43,7 +43,9 @@ def write_deep_exr(path: Path | str, view: ExrView, samples: DeepSamples) -> Non
     count = int(samples.counts.sum())
     for name, values in (("Z", samples.z), ("ZBack", samples.z_back), ("A", samples.weights), ("color", samples.rgb)):
         if len(values) != count or not np.isfinite(values).all():
-            raise ValueError(f"deep EXR: {name} has {len(values)} values of {count}, or holds NaN or infinity")
+            raise ValueError(
+                f"deep EXR: {name} has {len(values)} values, expected {count}, or contains NaN or infinity"
+            )
     alpha, rgb = _own_alpha_and_color(samples)
     flat = {"R": rgb[:, 0], "G": rgb[:, 1], "B": rgb[:, 2], "A": alpha}
     flat |= {"Z": samples.z.astype(np.float32), "ZBack": samples.z_back.astype(np.float32)}
@@ -61,7 +63,7 @@ def _own_alpha_and_color(samples: DeepSamples) -> tuple[np.ndarray, np.ndarray]:
     starts = np.cumsum(counts) - counts
     alpha = np.zeros(len(samples.weights), np.float16)
     rgb = np.zeros((len(samples.weights), 3), np.float16)
-    left, wanted = np.ones(len(counts)), np.ones(len(counts))  # transmittance of the rounded alphas, and of the true
+    left, wanted = np.ones(len(counts)), np.ones(len(counts))  # transmittance of rounded and of exact alphas
     for rank in range(int(counts.max(initial=0))):
         pixels = np.flatnonzero(counts > rank)
         at = starts[pixels] + rank
@@ -75,7 +77,7 @@ def _own_alpha_and_color(samples: DeepSamples) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_pixel(values: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return [h, w] objects, the array of each pixel's values, None where it has none."""
+    """Return [h, w] objects: the array of each pixel's values, None if it has none."""
     out = np.empty(counts.size, object)
     ends = np.cumsum(counts.reshape(-1))
     out[0] = values[:0]  # without any array, OpenEXR would not know the channel's type

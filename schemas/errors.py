@@ -1,10 +1,10 @@
-"""Errors at the boundary to files and users, each with the exit code of the command that it ends."""
+"""Errors at the boundary to files and users, each with the exit code of the command."""
 
 from typing import Any
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error's text on one line, its type if it has none."""
+    """Return an error's text on one line, or its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
@@ -13,7 +13,7 @@ class StylerfError(Exception):
 
     Attributes:
         keeps_run: Whether an unfinished run is kept, so that the next one can resume it.
-        details: What `--json` prints beside the message.
+        details: What `--json` prints in addition to the message.
     """
 
     exit_code = 3
@@ -49,7 +49,7 @@ class BadInput(StylerfError):
 
 
 class InputGone(BadInput):
-    """A file that a run read is no longer there."""
+    """A file that a run was reading no longer exists."""
 
     keeps_run = True
 

@@ -2,7 +2,7 @@
 
 Channels of a view: R G B A half (linear, premultiplied), Z float32 (along the camera's axis, not along the ray),
 rayDistance.Z float32 (along the ray), mask.<name> half, and Cryptomatte's. One scanline part with ZIP compression,
-whose check sum detected each of 1,100 flipped bytes.
+whose checksum detected each of 1,100 flipped bytes.
 """
 
 import errno
@@ -120,7 +120,7 @@ def _channels(view: ExrView) -> dict[str, np.ndarray]:
         if plane.shape != view.alpha.shape or plane.ndim != 2 or plane.size == 0:
             raise ValueError(f"EXR channel {name} has shape {plane.shape}, alpha {view.alpha.shape}")
         if not np.isfinite(plane).all():
-            raise ValueError(f"EXR channel {name} holds NaN or infinity")
+            raise ValueError(f"EXR channel {name} contains NaN or infinity")
     # OpenEXR silently writes strided arrays wrongly (its issue 1929).
     return {name: np.ascontiguousarray(plane) for name, plane in planes.items()}
 
@@ -216,7 +216,7 @@ def _checked_header(path: Path, required: tuple[str, ...]) -> tuple[int, int]:
     if tiles is not None and tiles.mode != OpenEXR.ONE_LEVEL:
         raise BadInput(f"{path} is an EXR with mip levels; save it with a single resolution")
     if missing := [name for name in required if name not in names]:
-        raise BadInput(f"{path} lacks channels {', '.join(missing)}; it holds {', '.join(names[:12]) or 'none'}")
+        raise BadInput(f"{path} lacks channels {', '.join(missing)}; it has {', '.join(names[:12]) or 'none'}")
     if thin := [channel.name for channel in listed if (channel.xSampling, channel.ySampling) != (1, 1)]:
         raise BadInput(f"{path}: channel {thin[0]} is subsampled; expected a value for every pixel")
     window, display = (
@@ -245,7 +245,7 @@ def read_exr(path: Path | str) -> ExrView:
             raise BadInput(f"{path}: channel {name} is {channels[name].dtype}, expected {np.dtype(code)}")
     planes = {name: plane.astype(np.float32) for name, plane in channels.items()}
     if bad := [name for name, plane in planes.items() if not np.isfinite(plane).all()]:
-        raise BadInput(f"{path}: channel {bad[0]} holds NaN or infinity")
+        raise BadInput(f"{path}: channel {bad[0]} contains NaN or infinity")
     interop = header.get("colorInteropID")  # none in older files, which are Rec.709
     own = {key.removeprefix(PREFIX): str(value) for key, value in header.items() if key.startswith(PREFIX)}
     try:
@@ -273,7 +273,7 @@ def read_depth(path: Path | str) -> np.ndarray:
     """Read the Z channel of any EXR as float32 [h, w]; BadInput if it is missing or holds NaN."""
     depth = read_channels(path, ("Z",))[0]["Z"].astype(np.float32)
     if np.isnan(depth).any():
-        raise BadInput(f"{path}: channel Z holds NaN")
+        raise BadInput(f"{path}: channel Z contains NaN")
     return depth
 
 
@@ -283,7 +283,7 @@ def write_part(path: Path, header: dict[str, Any], channels: dict[str, np.ndarra
     Args:
         header: Attributes; `type` and `compression` too.
         channels: [h, w] each, contiguous: OpenEXR silently writes strided arrays wrongly (its issue 1929).
-        size: Bytes of the channels, for the message where the disk is full.
+        size: Bytes of the channels, for the message if the disk is full.
 
     Raises:
         OutOfResources: The disk is full or read-only.
@@ -305,7 +305,7 @@ def write_st_map(path: Path | str, positions: np.ndarray) -> None:
         OutOfResources: The disk is full or read-only.
     """
     if positions.ndim != 3 or positions.shape[2] != 2 or not np.isfinite(positions).all():
-        raise ValueError(f"an ST map must be finite and of shape [h, w, 2], it is {positions.shape}")
+        raise ValueError(f"an ST map must be finite and of shape [h, w, 2], found {positions.shape}")
     planes = {"R": positions[..., 0], "G": positions[..., 1], "B": np.zeros(positions.shape[:2])}
     channels = {name: np.ascontiguousarray(plane, dtype=np.float32) for name, plane in planes.items()}
     header = {

@@ -50,7 +50,7 @@ def _read_npy(path: Path) -> np.ndarray:
             magic = np.lib.format.read_magic(stream)
             header = np.lib.format.read_array_header_1_0 if magic == (1, 0) else np.lib.format.read_array_header_2_0
             shape, _, kind = header(stream)
-            # numpy allocates all that the header claims before it looks at the file's size.
+            # numpy allocates all that the header claims before it checks the file's size.
             if math.prod(shape) * kind.itemsize > os.fstat(stream.fileno()).st_size:
                 raise ValueError(f"it is too short for its shape {shape}")
             if len(shape) == 3:
@@ -60,7 +60,7 @@ def _read_npy(path: Path) -> np.ndarray:
     except (ValueError, EOFError, SyntaxError, TypeError, RecursionError, OverflowError, TokenError) as error:
         raise BadInput(f"flow {path} is not an array that numpy can read without running code: {error}") from error
     if not isinstance(found, np.ndarray):
-        raise BadInput(f"flow {path} holds several arrays; expected one of shape [height, width, 2]")
+        raise BadInput(f"flow {path} contains several arrays; expected one of shape [height, width, 2]")
     if found.ndim != 3 or found.shape[2] != 2 or found.dtype.kind not in "fiu":
         raise BadInput(f"flow {path} has shape {found.shape}; expected numbers of shape [height, width, 2]")
     return found.astype(np.float32)

@@ -37,7 +37,7 @@ class Frame:
     """One rendered view.
 
     Attributes:
-        exr: Path inside the artifact, "" without one.
+        exr: Path inside the artifact, "" if there is none.
         png: Likewise.
         scene_view: Index of the scene's view with this camera, if any.
         undistort, redistort: ST maps between the view's photo and its undistorted picture; "" without.
@@ -87,7 +87,7 @@ def read_frames(folder: Path) -> Frames:
     except FileNotFoundError:
         raise ArtifactDamaged(f"{path} is missing; run `stylerf render` again") from None
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        reason = f"missing {error}" if isinstance(error, KeyError) else str(error)
         raise ArtifactDamaged(f"{path} is damaged ({reason}); run `stylerf render` again") from error
 
 

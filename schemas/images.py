@@ -1,4 +1,4 @@
-"""Image files: read completely or refused, with colors as stored or in sRGB; PNGs written atomically."""
+"""Image files: read completely or rejected, with colors as stored or in sRGB; PNGs written atomically."""
 
 import errno
 import re
@@ -24,14 +24,14 @@ from schemas.safe_reading import allowance, check_allowance, opened
 LARGEST_IMAGE_MB = 2048
 SLOW_IMAGE_MB = 192  # JPEG 2000 and JPEG XL: a file of 2 kB can take minutes to decode
 BAND_BYTES = 4 << 20
-LARGEST_ENTRY = 100.0  # of a matrix from other primaries; real ones stay below 10
+LARGEST_ENTRY = 100.0  # largest entry of a matrix from other primaries; real ones stay below 10
 _LIGHT = ("openexr", "hdr")
-_ASSOCIATED = ("tiff",)  # code values that may be premultiplied; the header says so
+_ASSOCIATED = ("tiff",)  # code values may be premultiplied, according to the header
 _SCALES = {"uint8": 255, "uint16": 65535, "half": 1, "float": 1, "double": 1}
 _SEVERAL = 4  # decoded bytes for each stored byte, at most
 _DECODED_BY_ROWS = (b"v/1\x01", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"#?", b"\x89PNG", b"\xff\xd8\xff")
 _SLOW = (b"\0\0\0\x0c", b"\xff\x4f\xff\x51")
-_opening = threading.Lock()  # the limit belongs to the process: no other thread may change it before the file is open
+_opening = threading.Lock()  # the limit is per process: no other thread may change it before the file is open
 _CLAIMED = re.compile(r"image size ([\d.]+) MB exceeds.*?claimed to be (\d+)x(\d+)", re.S)
 
 
@@ -69,7 +69,7 @@ def _opened(path: Path) -> Iterator["oiio.ImageInput"]:
         try:
             yield source
         except UnicodeDecodeError as error:  # in the name of a channel or an attribute
-            raise BadInput(f"{path} is damaged: it holds a name that is not text; replace or remove it") from error
+            raise BadInput(f"{path} is damaged: it contains a name that is not text; replace or remove it") from error
         finally:
             source.close()
 
@@ -79,7 +79,7 @@ def _open(path: Path) -> "oiio.ImageInput":
         with opened(path) as stream:  # a codec would block on a named pipe and read a device forever
             head = stream.read(16)
     except FileNotFoundError:
-        raise BadInput(f"{path}: no such image file") from None
+        raise BadInput(f"{path}: image file not found") from None
     check_utf8(path)
     settings = oiio.ImageSpec()
     settings.attribute("oiio:UnassociatedAlpha", 1)  # else colors come premultiplied and rounded to 8 bits
@@ -166,15 +166,15 @@ def _decoded(source: "oiio.ImageInput", path: Path) -> np.ndarray:
         # A truncated JPEG yields both pixels and an error.
         error = _error_of(source) + _error_of(oiio)
         if band is None or error:
-            raise BadInput(f"{path} cannot be read whole ({_first_line(error, path)}); replace or remove it")
+            raise BadInput(f"{path} cannot be read completely ({_first_line(error, path)}); replace or remove it")
         band = band.reshape(end - top, spec.width, -1)
         if scale == 1 and not np.isfinite(band).all():
-            raise BadInput(f"{path} holds NaN or infinite values; replace or remove it")
+            raise BadInput(f"{path} contains NaN or infinite values; replace or remove it")
         with np.errstate(over="ignore"):
             for place, channel in enumerate(chosen):
                 np.divide(band[..., channel], np.float32(scale), out=pixels[top:end, :, place], casting="same_kind")
         if str(spec.format) == "double" and not np.isfinite(pixels[top:end]).all():
-            raise BadInput(f"{path} holds values that overflow 32-bit floats; replace or remove it")
+            raise BadInput(f"{path} contains values that overflow 32-bit floats; replace or remove it")
     return pixels
 
 
@@ -220,7 +220,7 @@ def read_srgb(path: Path | str, upright: bool = True) -> Image:
 
 
 def _in_rec709(linear: np.ndarray, chromaticities: tuple[float, ...], path: Path | str) -> np.ndarray:
-    """Convert light [h, w, 3] of these primaries; BadInput if they are none."""
+    """Convert light [h, w, 3] of these primaries; BadInput if they are invalid."""
     if np.allclose(chromaticities, REC709.chromaticities, atol=1e-4):
         return linear
     with np.errstate(all="ignore"):
@@ -229,7 +229,7 @@ def _in_rec709(linear: np.ndarray, chromaticities: tuple[float, ...], path: Path
         except (np.linalg.LinAlgError, ValueError, ZeroDivisionError):
             matrix = np.full((3, 3), np.nan)
     if not np.abs(matrix).max() < LARGEST_ENTRY:
-        raise BadInput(f"{path} has chromaticities that are not colors; save it again")
+        raise BadInput(f"{path} has invalid chromaticities; save it again")
     converted: np.ndarray = (linear @ matrix.T).astype(np.float32)
     return converted
 
@@ -266,7 +266,7 @@ def _color_channels(source: "oiio.ImageInput", path: Path) -> list[int]:
 
 
 def _unusual(source: "oiio.ImageInput", spec: "oiio.ImageSpec") -> str:
-    """Say why an EXR does not hold a single picture; "" if it does."""
+    """Return why an EXR does not contain a single picture; "" if it does."""
     if spec.deep:
         return "a deep EXR, with a list of samples for each pixel"
     if (parts := spec.get_int_attribute("oiio:subimages", 1)) > 1:
@@ -293,7 +293,7 @@ def _displayed(pixels: np.ndarray, spec: "oiio.ImageSpec", path: Path) -> np.nda
     return shown
 
 
-# By EXIF orientation: whether to swap rows and columns, and then how to flip them.
+# By EXIF orientation: whether to swap rows and columns, and how to flip them afterwards.
 _TURNS: dict[int, tuple[bool, Any]] = {
     2: (False, np.s_[:, ::-1]), 3: (False, np.s_[::-1, ::-1]), 4: (False, np.s_[::-1]),
     5: (True, np.s_[:]), 6: (True, np.s_[:, ::-1]), 7: (True, np.s_[::-1, ::-1]), 8: (True, np.s_[::-1]),
@@ -350,7 +350,7 @@ def write_png(path: Path | str, array: np.ndarray) -> None:
 
 
 def png_is_whole(path: Path) -> bool:
-    """Whether all chunks of a PNG match their check sums; the codec ignores failed writes."""
+    """Return whether all chunks of a PNG match their checksums; the codec ignores failed writes."""
     data, at, name = memoryview(path.read_bytes()), 8, b""
     while name != b"IEND" and at + 12 <= len(data):
         end = at + 12 + int.from_bytes(data[at : at + 4], "big")

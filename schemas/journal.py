@@ -1,4 +1,4 @@
-"""A journal of an unfinished run's complete files: one appended line for each, with its SHA-256."""
+"""A journal of the completed files of an unfinished run: one appended line each, with its SHA-256."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from schemas.open_flags import NOFOLLOW
 
 
 class Journal:
-    """The journal at `path` of files below `root`. Ignores a last line that a kill cut short."""
+    """The journal at `path` of files below `root`. Ignores a last line truncated by a kill."""
 
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
@@ -35,16 +35,16 @@ class Journal:
         """Record files, by paths below the root, as they are now; they must be flushed to disk already."""
         fresh = {name: file_sha256(self._root / name) for name in names}
         text = "".join(json.dumps(pair) + "\n" for pair in fresh.items())
-        # Not flushed: what a power cut takes from the journal is only computed again.
+        # Not flushed: what a power cut removes from the journal is simply recomputed.
         handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | NOFOLLOW, 0o666)
         with open(handle, "w", encoding="utf-8") as stream:
             stream.write("\n" + text if self._cut_short else text)  # or the first entry would end the fragment's line
         self._cut_short = False
-        # After the write: a file that the journal does not hold must not count as recorded.
+        # After the write: a file that is not in the journal must not be treated as recorded.
         self._digests |= fresh
 
     def holds(self, names: Iterable[str]) -> bool:
-        """Whether all these files are recorded and unchanged since; OSError if one cannot be read."""
+        """Return whether all these files are recorded and unchanged; OSError if one cannot be read."""
         return all(name in self._digests and self._unchanged(name) for name in names)
 
     def _unchanged(self, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Checks of numbers from JSON documents, before they size an array or enter a computation; ValueError on failure.
+"""Checks of numbers from JSON documents before they are used in allocations or computations; ValueError on failure.
 
 stylerf/validation.py does the same for descriptions of fields, regions and edits; neither may import the other.
 """
@@ -44,7 +44,7 @@ def _shown(value: Any) -> str:
     """Describe `value` briefly."""
     if value is None or isinstance(value, (bool, dict, list, tuple)):
         return {type(None): "null", bool: str(value).lower(), dict: "an object"}.get(type(value), "a list")
-    if isinstance(value, int) and abs(value) >= 10**20:  # str() refuses thousands of digits
+    if isinstance(value, int) and abs(value) >= 10**20:  # str() rejects thousands of digits
         return f"an integer of {value.bit_length()} bits"
     text = repr(value)
     return text if len(text) <= 40 else text[:37] + "..."

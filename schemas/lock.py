@@ -1,9 +1,9 @@
-"""Locks that let one process at a time write an artifact; the system frees them when the process ends.
+"""Locks that let one process at a time write an artifact; the system releases them when the process ends.
 
-Two things are locked: a small file, `.NAME.lock`, that names the process holding it, and the folder that is written to,
-so that a second writer is kept out even if somebody deletes that file. (Windows cannot lock folders, but does
-not delete open files either.) filelock takes the system's lock on the open file, so that the checks below are of the
-very file that is locked.
+Two things are locked: a small file, `.NAME.lock`, that names the process holding it, and the folder being written to,
+so that a second writer is kept out even if somebody deletes that file. (Windows cannot lock folders, but does not
+delete open files either.) filelock locks the open file, so that the checks below apply to exactly the file that is
+locked.
 """
 
 import errno
@@ -23,11 +23,11 @@ from schemas.open_flags import DIRECTORY, NOFOLLOW, NONBLOCK
 # Process and host, after a space: Windows locks the first byte, which others then cannot read.
 _OWN_TEXT = re.compile(rb" ?\d{1,20}( [\x21-\x7e]{1,64})?\n?")
 _TEXT_START = 1 if os.name == "nt" else 0
-_TRIES = 10  # a lock file that is deleted each time it is taken
+_TRIES = 10  # attempts, if the lock file is deleted each time
 
 
 class Lock:
-    """The right to write one artifact. Freed by release() and when the process ends, however it ends."""
+    """The right to write one artifact. Released by release() and when the process ends, however it ends."""
 
     def __init__(self, path: Path, instead: str = "give another --name", use: str = "written") -> None:
         """Take the lock.
@@ -35,10 +35,10 @@ class Lock:
         Args:
             path: The lock file, created if missing.
             instead: What the user can do other than wait, for the message.
-            use: What the holder does with it, for the message: the artifact is being written, or the folder shown.
+            use: What the holder does, for the message: the artifact is being written, or the folder shown.
 
         Raises:
-            OutOfResources: Another process holds the lock (the message names it), or the disk has no locks.
+            OutOfResources: Another process holds the lock (the message names it), or the disk does not support locks.
             WouldBeLost: Something other than a lock file has this name, such as a link. It is not written to.
         """
         self.path, self._instead, self._use = path, instead, use
@@ -55,7 +55,7 @@ class Lock:
                 raise
             self.release()  # deleted between opening and locking: the next process would not see our lock
         else:
-            raise OutOfResources(f"{path} keeps being deleted; find out by whom, and run the same command")
+            raise OutOfResources(f"{path} keeps being deleted; stop whatever deletes it, and run the same command")
         with suppress(OSError):  # only so that others can name us; a full disk is reported soon enough
             os.ftruncate(self._handle, 0)
             os.lseek(self._handle, 0, os.SEEK_SET)
@@ -68,13 +68,13 @@ class Lock:
         handle = os.open(folder, os.O_RDONLY | DIRECTORY | NOFOLLOW)
         try:
             free = lock_descriptor(handle, blocking=False)
-        except OSError:  # some disks, NFS among them, lock files only
+        except OSError:  # some disks, such as NFS, lock only files
             os.close(handle)
             return
         if not free:
             os.close(handle)
             raise self._held_by("unknown")
-        # The new lock first: at no moment are both folders free.
+        # The new lock first, so that the folders are never both unlocked.
         self._close_folder()
         self._folder = handle
 
@@ -83,7 +83,7 @@ class Lock:
         return tuple(one for one in (self._handle, self._folder) if one is not None)
 
     def release(self) -> None:
-        """Free the lock; harmless if already free."""
+        """Release the lock; harmless if already released."""
         self._close_folder()
         if self._handle is not None:
             os.close(self._handle)
@@ -99,8 +99,8 @@ class Lock:
             free = lock_descriptor(handle, blocking=False)
         except OSError as error:
             raise OutOfResources(
-                f"{self.path} cannot be locked ({error.strerror}), so nothing keeps two processes apart; choose a "
-                "work folder on a disk that supports locks"
+                f"{self.path} cannot be locked ({error.strerror}), so two processes could collide; choose a work "
+                "folder on a disk that supports locks"
             ) from error
         if not free:
             process, _, host = _text(handle).decode("ascii", "replace").strip().partition(" ")
@@ -110,8 +110,7 @@ class Lock:
         name = self.path.name.removeprefix(".").removesuffix(".lock")
         what = f"{self.path.parent.name} {name}" if self._use == "written" else str(self.path.parent)
         return OutOfResources(
-            f"{what} is being {self._use} by another process ({holder}); wait for it to end, or "
-            f"{self._instead}"
+            f"{what} is being {self._use} by another process ({holder}); wait for it to finish, or {self._instead}"
         )
 
 
@@ -124,8 +123,8 @@ def _opened(path: Path) -> int:
     with writing(path):
         try:
             handle = os.open(path, flags | os.O_RDWR | os.O_CREAT, 0o666)
-        except PermissionError as denied:  # left by another member of the group: reading is enough to lock it
-            if path.is_dir():  # as Windows answers for a folder
+        except PermissionError as denied:  # created by another member of the group: reading is enough to lock it
+            if path.is_dir():  # Windows' error for a folder
                 raise _not_ours(path) from denied
             try:
                 handle = os.open(path, flags | os.O_RDONLY)
@@ -137,7 +136,7 @@ def _opened(path: Path) -> int:
             raise _not_ours(path) from error
     try:
         found = os.fstat(handle)
-        # Checked on the open file, which cannot be exchanged any more. A second hard link would be written to as well.
+        # Checked on the open file, which can no longer be exchanged. A second hard link would be written to as well.
         ours = stat.S_ISREG(found.st_mode) and found.st_nlink <= 1 and found.st_size <= 100
         text = _text(handle) if ours else b""
         if not ours or (text and not _OWN_TEXT.fullmatch(text)):
@@ -151,7 +150,7 @@ def _opened(path: Path) -> int:
 
 
 def _share(path: Path, handle: int, found: os.stat_result) -> None:
-    """Let whoever may write to the folder take its locks; refuse a lock file of anybody else."""
+    """Let everyone who may write to the folder take its locks; reject lock files of anybody else."""
     folder = os.stat(path.parent)
     if found.st_uid == os.geteuid():
         with suppress(OSError):
@@ -161,13 +160,13 @@ def _share(path: Path, handle: int, found: os.stat_result) -> None:
 
 
 def _text(handle: int) -> bytes:
-    """Return what the lock file says about its holder."""
+    """Return what the lock file records about its holder."""
     os.lseek(handle, _TEXT_START, os.SEEK_SET)
     return os.read(handle, 101)
 
 
 def _not_ours(path: Path) -> WouldBeLost:
-    return WouldBeLost(f"{path} is not a lock file of stylerf's (a link, or it holds something else); move it away")
+    return WouldBeLost(f"{path} is not a stylerf lock file (it is a link, or has other contents); move it away")
 
 
 def _is_still(path: Path, handle: int) -> bool:

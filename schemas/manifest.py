@@ -49,8 +49,8 @@ class Recipe:
 
     Attributes:
         incidental: Options that are recorded but do not affect the result, such as the path of a file.
-        extent: Options that say how far a run goes: one that was interrupted under other values of them is resumed.
-        stored_digest: Digest of a recipe read from a manifest, which does not record what is incidental.
+        extent: Options that set how far a run goes: an interrupted run with other values of them is resumed.
+        stored_digest: Digest of a recipe read from a manifest, which does not record incidental options.
     """
 
     stage: str
@@ -71,7 +71,7 @@ class Recipe:
 
     @property
     def run_digest(self) -> str:
-        """The digest without what says how far a run goes: runs that have it in common resume one another."""
+        """The digest without the extent: runs that share it resume one another."""
         return self._digest_without((*self.incidental, *self.extent)) if self.extent else self.digest
 
     def _digest_without(self, options: Sequence[str]) -> str:
@@ -88,7 +88,7 @@ class Recipe:
         return ", ".join(texts + self._other_inputs(before, regions=True))
 
     def other_sources(self, before: "Recipe") -> str:
-        """Describe the inputs (other than regions) and the code of `before` that differ; no option restores these."""
+        """Describe the inputs (other than regions) and the code of `before` that differ; no option can restore them."""
         texts = self._other_inputs(before, regions=False)
         if (self.stage, self.revision) != (before.stage, before.revision):
             texts.append(f"revision {before.revision} of {before.stage}")
@@ -165,7 +165,7 @@ class Manifest:
 def sealed(text: bytes) -> bytes:
     """Return the JSON of a manifest with the digest of its text in place of the blank one."""
     seal = hashlib.sha256(text).hexdigest().encode()
-    head, _, tail = text.rpartition(_BLANK)  # the last match: free text in `config` or `figures` may hold another
+    head, _, tail = text.rpartition(_BLANK)  # the last match: free text in `config` or `figures` may contain another
     return head + _BLANK.replace(b"0" * 64, seal) + tail
 
 
@@ -214,7 +214,7 @@ def _from_dict(content: Json, path: Path) -> Manifest:
     if missing := sorted(known - {"figures"} - content.keys()):
         raise ArtifactDamaged(f"{path} lacks {', '.join(missing)}; rebuild the artifact")
     if more := sorted(content.keys() - known):
-        raise ArtifactDamaged(f"{path} holds unknown fields {', '.join(more)}; rebuild the artifact")
+        raise ArtifactDamaged(f"{path} contains unknown fields {', '.join(more)}; rebuild the artifact")
     try:
         return _checked(content)
     except (TypeError, ValueError, OverflowError, ArtifactDamaged) as error:
@@ -232,7 +232,7 @@ def _checked(content: Json) -> Manifest:
     if not _SHA256.fullmatch(content["recipe"]):
         raise ValueError("recipe is not a SHA-256")
     if datetime.fromisoformat(content["created"]).tzinfo is None:
-        raise ValueError("created names no time zone")
+        raise ValueError("created has no time zone")
     for key in ("name", "stage"):
         file_name(content[key], key)
     if not all(isinstance(one, str) for pair in content["versions"].items() for one in pair):

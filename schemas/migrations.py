@@ -104,7 +104,7 @@ def migrated(content: Json, folder: Path) -> Json:
     """
     kind, schema = content.get("kind"), content.get("schema")
     if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1 or not isinstance(kind, str):
-        raise ArtifactDamaged(f"{folder}: manifest.json names no kind and schema; rebuild the artifact")
+        raise ArtifactDamaged(f"{folder}: manifest.json has no kind and schema; rebuild the artifact")
     if kind not in CURRENT:
         raise ArtifactStale(f"{folder} is of kind {kind!r}, which was written by a newer stylerf; update stylerf")
     if schema > CURRENT[kind]:

@@ -15,7 +15,7 @@ _saved: tuple[int, int] | None = None
 
 @contextmanager
 def native_output_silenced() -> Iterator[None]:
-    """Redirect file descriptors 1 and 2 to the null device inside the block; blocks may overlap in threads."""
+    """Redirect file descriptors 1 and 2 to the null device inside the block; blocks may overlap across threads."""
     _enter()
     try:
         yield
@@ -25,7 +25,7 @@ def native_output_silenced() -> Iterator[None]:
 
 @contextmanager
 def native_output_restored() -> Iterator[None]:
-    """Restore file descriptors 1 and 2 after the block, so that a command's last words are printed.
+    """Restore file descriptors 1 and 2 after the block, so that a command's last messages are printed.
 
     Needed if an interruption cut short the start or end of native_output_silenced, or a thread is still inside one.
     """
@@ -38,7 +38,7 @@ def native_output_restored() -> Iterator[None]:
 
 @contextmanager
 def native_output_audible() -> Iterator[None]:
-    """Let what the command prints inside the block through, although other threads are inside native_output_silenced.
+    """Let the command print inside the block even if other threads are inside native_output_silenced.
 
     Must not be entered from inside a silenced block's own native call, nor nested.
     """

@@ -1,4 +1,4 @@
-"""Flags of os.open that Windows lacks. There they are zero, and what they guard against is checked by other means."""
+"""Flags of os.open that Windows lacks. There they are zero, and other checks replace them."""
 
 import os
 

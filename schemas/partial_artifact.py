@@ -48,7 +48,7 @@ class UnlikeInterrupted(ArtifactStale):
 class PartialArtifact:
     """A run in progress. The stage writes its files below `path` and its checkpoints below `checkpoint`.
 
-    An interrupted run of another recipe is deleted.
+    An interrupted run with another recipe is deleted.
 
     Args:
         protect: Keep an interrupted run of EXPENSIVE_SECONDS or more and raise UnlikeInterrupted if other options
@@ -79,7 +79,7 @@ class PartialArtifact:
             self._refuse_links()
             if self.folder.exists():
                 self._lock.hold_folder(self.folder)
-            # In this order: first undo what a killed swap left, then judge what the artifact's place holds.
+            # In this order: first undo what a killed swap left, then examine what is in the artifact's place.
             self._restore_replaced()
             self._restore_ready()
             self._refuse_to_bury()
@@ -122,18 +122,18 @@ class PartialArtifact:
     def _refuse_links(self) -> None:
         """Raise WouldBeLost if the run's folder holds a link, pipe or device: the run would write through it."""
         if strange := next(_strange_in(self.folder), None):
-            raise WouldBeLost(f"{strange} is a link or not a file; runs leave none; delete it")
+            raise WouldBeLost(f"{strange} is a link or not a regular file, which runs never create; delete it")
 
     def _refuse_to_bury(self) -> None:
-        """Raise WouldBeLost if the artifact would replace anything that no manifest there lists."""
+        """Raise WouldBeLost if the artifact would replace anything not listed in a manifest there."""
         if os.path.islink(self.target) and not self.target.exists():
-            raise WouldBeLost(f"{self.target} is a link to nothing; delete it, or restore its target")
+            raise WouldBeLost(f"{self.target} is a broken link; delete it, or restore its target")
         if not self.target.exists():
             return
-        # macOS and Windows take Fit for fit.
+        # On macOS and Windows, Fit and fit are the same name.
         if (other := _stored_name(self.target)) != self.name:
             raise WouldBeLost(
-                f"{self.kind} {other} would be replaced: this disk takes {self.name} for it; give another --name"
+                f"{self.kind} {other} would be replaced: on this disk {self.name} is the same name; give another --name"
             )
         listed = _listed_in(self.target)
         if listed is None:
@@ -141,7 +141,7 @@ class PartialArtifact:
         added = added_files(self.target, listed) if self.target.is_dir() else [self.target]
         if added:
             raise WouldBeLost(
-                f"{added[0]} would be deleted with the present {self.kind} {self.name}, whose manifest does not list "
+                f"{added[0]} would be deleted with the current {self.kind} {self.name}, whose manifest does not list "
                 "it; move it elsewhere"
             )
 
@@ -153,7 +153,7 @@ class PartialArtifact:
         self._lock.hold_folder(self.folder)
 
     def _store_recipe(self) -> None:
-        # After the rest: a folder without a recipe is never resumed, so a kill before this costs nothing.
+        # Last: a folder without a recipe is never resumed, so a kill before this does no harm.
         digests = {"digest": self.recipe.digest, "run": self.recipe.run_digest}
         stored = {**asdict(self.recipe), **digests, "rebuild": self.rebuild}
         write_json(self.folder / "recipe.json", stored)
@@ -165,7 +165,7 @@ class PartialArtifact:
             os.rename(replaced, self.target)
 
     def _restore_ready(self) -> None:
-        """Take back the files of a run that was killed while they were moved into place."""
+        """Recover the files of a run that was killed while they were moved into place."""
         ready = self.folder / "ready"
         # `ready` is ours only before the swap; after it, `ready` is the artifact that was replaced.
         made = [_recipe_in(folder) == self.recipe.digest for folder in (ready, self.target)]
@@ -247,13 +247,13 @@ class PartialArtifact:
         self.release()
 
     def _delete(self) -> None:
-        """Delete the recipe first, so that what a kill leaves of the rest is never resumed."""
+        """Delete the recipe first, so that leftovers of a kill are never resumed."""
         (self.folder / "recipe.json").unlink(missing_ok=True)
         if self.folder.exists():
             shutil.rmtree(self.folder)
 
     def release(self) -> None:
-        """Free the lock; the folder stays and can be resumed."""
+        """Release the lock; the folder remains and can be resumed."""
         self._lock.release()
 
 
@@ -263,7 +263,7 @@ def replaced_by(root: Path, kind: str, name: str) -> Path:
 
 
 def _stored(path: Path) -> dict[str, Any]:
-    """Read a JSON object of the run's own; {} if it is missing or damaged.
+    """Read one of the run's own JSON objects; {} if it is missing or damaged.
 
     Any other OSError is raised: a run on a disk that is temporarily unavailable must not be discarded.
     """
@@ -275,7 +275,7 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def _stored_name(path: Path) -> str:
-    """Return the name of `path` as its folder lists it; its case may differ on disks that ignore case."""
+    """Return the name of `path` as listed in its folder; its case may differ on case-insensitive disks."""
     names = os.listdir(path.parent)
     alike = [name for name in names if name.casefold() == path.name.casefold()]
     return path.name if path.name in names or not alike else alike[0]
@@ -299,7 +299,7 @@ def _strange_in(folder: Path) -> Iterator[Path]:
 
 
 def _listed_in(folder: Path) -> set[str] | None:
-    """Return the paths that a manifest lists, even one of another version or altered; empty if there is no manifest.
+    """Return the paths that a manifest lists, even if altered or of another version; empty if there is no manifest.
 
     None if the manifest cannot be read: such an artifact can only be rebuilt.
     """
@@ -312,11 +312,11 @@ def _listed_in(folder: Path) -> set[str] | None:
 
 
 def sweep_finished(root: Path, kind: str, name: str) -> None:
-    """Delete what a run left that was killed between committing and cleaning up; never a resumable run."""
+    """Delete what is left of a run that was killed between committing and cleaning up; never a resumable run."""
     folder = root / kind / f".{name}.partial"
     if not folder.is_dir() or (folder / "files").is_dir():
         return
-    with suppress(OutOfResources, WouldBeLost):  # another process works here, or the folder is read-only: leave it
+    with suppress(OutOfResources, WouldBeLost):  # another process works here, or the folder is read-only: skip it
         lock = Lock(root / kind / f".{name}.lock")
         try:
             lock.hold_folder(folder)

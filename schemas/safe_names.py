@@ -35,21 +35,21 @@ def relative_path(text: object, what: str, fault: type[StylerfError] = ArtifactD
     if text.startswith("/") or any(part in ("", ".", "..") for part in text.split("/")):
         raise fault(f"{what} is {shown}, which does not stay inside its folder; expected a relative path without '..'")
     if any(_hidden(letter) for letter in text):
-        raise fault(f"{what} is {shown}, which holds control characters or invalid Unicode")
+        raise fault(f"{what} is {shown}, which contains control characters or invalid Unicode")
     if len(text.encode()) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
         raise fault(f"{what} is {shown}, {len(text.encode())} bytes long; a name may have at most {LONGEST_NAME}")
     if WINDOWS and (why := next(filter(None, map(refused_by_windows, text.split("/"))), None)):
-        raise fault(f"{what} is {shown}, which Windows cannot store: a name there {why}")
+        raise fault(f"{what} is {shown}, which Windows cannot store: one of its names {why}")
     return text
 
 
 def refused_by_windows(name: str) -> str | None:
-    """Return why Windows cannot store a file of that name, or stores it under another one; None if it can."""
+    """Return why Windows cannot store a file of that name, or stores it under another; None if it can."""
     if bad := re.search(r'[<>:"|?*\\]', name):
-        return f"holds {bad[0]}"
+        return f"contains {bad[0]}"
     if name[-1:] in (".", " "):
         return "ends in a dot or a space"
-    return "is that of a device" if _DEVICE.fullmatch(name) else None
+    return "is a reserved device name" if _DEVICE.fullmatch(name) else None
 
 
 def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamaged) -> str:
@@ -61,7 +61,7 @@ def file_name(text: object, what: str, fault: type[StylerfError] = ArtifactDamag
 
 
 def check_utf8(path: Path | str) -> None:
-    """Raise BadInput for a path that is not UTF-8: codecs and manifests take no other."""
+    """Raise BadInput for a path that is not UTF-8, which codecs and manifests require."""
     if (name := os.fsencode(path).decode("utf-8", "backslashreplace")) != str(path):
         raise BadInput(f"{printable(name)}: its name is not UTF-8; rename it")
 

@@ -1,4 +1,4 @@
-"""Reads untrusted files: regular files only, up to a limit, in the memory that may be used (--memory)."""
+"""Reads untrusted files: regular files only, up to a size limit, within the memory limit (--memory)."""
 
 import json
 import os
@@ -33,8 +33,8 @@ def check_allowance(path: Path, width: int, height: int, takes: int) -> None:
     """Raise OutOfResources if a picture of this size, `takes` bytes when decoded, exceeds the limit."""
     if takes > (most := allowance()):
         raise OutOfResources(
-            f"{path} is {width}x{height} pixels, which take {takes / 1e9:.1f} GB of memory; {most / 1e9:.1f} GB may be "
-            "used; shrink it or raise --memory"
+            f"{path} is {width}x{height} pixels, which take {takes / 1e9:.1f} GB of memory; the limit is "
+            f"{most / 1e9:.1f} GB; shrink it or raise --memory"
         )
 
 
@@ -85,7 +85,7 @@ def read_bytes(path: Path | str, limit: int, fault: type[StylerfError] = BadInpu
         while size < len(data) <= limit and (more := stream.read(min(_MORE, limit + 1 - len(data)))):
             data += more
     if len(data) > limit:
-        raise fault(f"{shown} grew beyond {limit / 1e6:.0f} MB while it was read")
+        raise fault(f"{shown} grew beyond {limit / 1e6:.0f} MB while being read")
     return data
 
 
@@ -111,7 +111,7 @@ def parsed(text: str, where: str, fault: type[StylerfError] = BadInput) -> Any:
         raise too_deep from None
     except ValueError as error:  # invalid JSON, or an integer with thousands of digits
         raise fault(f"{where} is not valid JSON ({error})") from error
-    # json takes thousands of levels, which other code that follows a value down could not.
+    # json accepts thousands of levels, which other code that descends a value could not handle.
     level = [value]
     for _ in range(DEEPEST):
         level = [one for parent in level if isinstance(parent, dict | list) for one in _children(parent)]
@@ -129,18 +129,18 @@ def _kind(mode: int) -> str:
     return kinds.get(stat.S_IFMT(mode), "a device")
 
 
-# What a constructor raises where its arguments are not what it takes; InvalidValue is a ValueError.
+# What a constructor raises for invalid arguments; InvalidValue is a ValueError.
 UNSOUND = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError)
 
 
 @contextmanager
 def sound(path: Path, what: str) -> Iterator[None]:
-    """ArtifactDamaged, naming the path, where what is made of a file's numbers within refuses them.
+    """Raise ArtifactDamaged, naming the path, if code in the block rejects a file's values.
 
-    what: is made of them, with its article.
+    what: the expected content, with its article.
     """
     try:
         yield
     except UNSOUND as error:
-        why = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        why = f"missing {error}" if isinstance(error, KeyError) else str(error)
         raise ArtifactDamaged(f"{path} does not hold {what} ({why}); rebuild it") from error

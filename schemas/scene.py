@@ -27,7 +27,7 @@ OTHER_LENSES = ("fov", "division", "eucm", "thin_prism_fisheye", "rad_tan_thin_p
 LENS_KINDS = ("brown", "fisheye", *OTHER_LENSES)
 MOST_COEFFICIENTS = 12
 LARGEST_COEFFICIENT = 1e12  # k3 of a lens of 20 picture widths is beyond 1e6
-LARGEST_PHOTO_SIDE = 1 << 20  # pixels; photos may be larger than the pictures that are made of them
+LARGEST_PHOTO_SIDE = 1 << 20  # pixels; photos may be larger than the pictures made from them
 _NUMBER_IN_PATTERN = re.compile(r"0+(?=\.[^./]*$)")
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -81,7 +81,7 @@ class View:
         fx, fy, cx, cy: Pixels.
         world_from_camera: 4x4, scene units.
         source: The path of the user's file.
-        lens: Of the photo that the image was made from; None where it is not known.
+        lens: Of the photo that the image was made from; None if unknown.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Truth:
     """Ground truth of a synthetic scene.
 
     Attributes:
-        depth: Pattern of planar-depth EXRs; its last run of zeros stands for the view's index:
+        depth: Pattern of planar-depth EXRs; its last run of zeros is replaced by the view's index:
             `truth/depth_000.exr` means `truth/depth_007.exr` for view 7.
     """
 
@@ -200,7 +200,7 @@ def _validate_view(view: View) -> None:
         )
     shortest, longest = FOCAL_LENGTHS
     if not all(math.isfinite(value) for value in (view.cx, view.cy)) or max(abs(view.cx), abs(view.cy)) > LARGEST:
-        raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} is nowhere near the picture")
+        raise BadInput(f"{where}: its principal point {view.cx:g}, {view.cy:g} is far outside the picture")
     if not all(shortest <= value <= longest for value in (view.fx, view.fy)):
         raise BadInput(
             f"{where}: focal lengths must be positive, {shortest:g} to {longest:g} pixels, found {view.fx:g} and "
@@ -208,7 +208,7 @@ def _validate_view(view: View) -> None:
         )
     pose = np.array(view.world_from_camera)
     if not np.isfinite(pose).all():
-        raise BadInput(f"{where}: its pose holds NaN or infinity")
+        raise BadInput(f"{where}: its pose contains NaN or infinity")
     if np.abs(pose[:3, 3]).max() > LARGEST:
         raise BadInput(f"{where}: its camera is {np.abs(pose[:3, 3]).max():g} units away; the limit is {LARGEST:g}")
     rotation = pose[:3, :3]
@@ -288,7 +288,7 @@ def _known_only(entry: Any, kind: type[Scene | View | Lens | LensDistortion]) ->
 
 
 def lens_of(entry: Any, where: str) -> Lens | None:
-    """Check an entry of scene.json, null for none; ValueError, TypeError or KeyError where it is invalid."""
+    """Check an entry of scene.json, null for none; ValueError, TypeError or KeyError if it is invalid."""
     if entry is None:
         return None
     _known_only(entry, Lens)
@@ -299,7 +299,7 @@ def lens_of(entry: Any, where: str) -> Lens | None:
 
 
 def distortion_of(entry: Any, where: str) -> LensDistortion:
-    """Check the distortion of a lens; ValueError, TypeError or KeyError where it is invalid."""
+    """Check the distortion of a lens; ValueError, TypeError or KeyError if it is invalid."""
     _known_only(entry, LensDistortion)
     if entry["kind"] not in LENS_KINDS:
         raise ValueError(f"{where}: kind is not one of {', '.join(LENS_KINDS)}")

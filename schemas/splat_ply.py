@@ -62,7 +62,7 @@ def read_splat_ply(path: Path) -> StoredSplats:
     """Read the splats of a binary PLY.
 
     Raises:
-        BadInput: It is no such file, a count does not fit its size, or a number is out of range.
+        BadInput: It is not such a file, a count does not match its size, or a number is out of range.
         OutOfResources: It needs more memory than allowed.
     """
     shown = printable(str(path))
@@ -73,24 +73,24 @@ def read_splat_ply(path: Path) -> StoredSplats:
             if size - at != count * record.itemsize:
                 raise BadInput(
                     f"{shown} is damaged: {count} splats of {record.itemsize} bytes need {count * record.itemsize} "
-                    f"bytes, {size - at} follow its header; export it again"
+                    f"bytes, but {size - at} follow its header; export it again"
                 )
             takes = 2 * count * record.itemsize
             if takes > (most := allowance()):
                 raise OutOfResources(
-                    f"{shown} holds {count} splats, which take {takes / 1e9:.1f} GB of memory; {most / 1e9:.1f} GB may "
-                    "be used; raise --memory"
+                    f"{shown} holds {count} splats, which take {takes / 1e9:.1f} GB of memory; the limit is "
+                    f"{most / 1e9:.1f} GB; raise --memory"
                 )
             table = np.frombuffer(stream.read(count * record.itemsize), record)
     except FileNotFoundError:
-        raise BadInput(f"{shown}: no such file") from None
+        raise BadInput(f"{shown}: file not found") from None
     if len(table) != count:
-        raise BadInput(f"{shown} was cut short while it was read; try again")
+        raise BadInput(f"{shown} was truncated while being read; try again")
     return _checked(table, shown)
 
 
 def _header(stream: BinaryIO, shown: str) -> tuple[int, np.dtype]:
-    """Return the number of splats and the layout of one, with the stream at the first."""
+    """Return the number of splats and the layout of one, with the stream positioned at the first."""
     lines = _lines(stream, shown)
     if not lines or lines[0] != "ply":
         raise BadInput(f"{shown} is not a PLY file; give the point_cloud.ply of 3D Gaussian splatting")
@@ -115,7 +115,9 @@ def _header(stream: BinaryIO, shown: str) -> tuple[int, np.dtype]:
     if any(name.startswith("packed_") for name in names):
         raise BadInput(f"{shown} is compressed; decompress it, with SuperSplat: splat-transform IN.ply OUT.ply")
     if missing := [name for name in NEEDED if name not in names]:
-        raise BadInput(f"{shown} holds no splats: its vertices lack {', '.join(missing[:4])}; give a point_cloud.ply")
+        raise BadInput(
+            f"{shown} contains no splats: its vertices lack {', '.join(missing[:4])}; give a point_cloud.ply"
+        )
     if not order or elements != ["vertex"] or not 0 < count <= MOST_SPLATS or len(set(names)) != len(names):
         raise BadInput(f"{shown}: expected a header of one element, 1 to {MOST_SPLATS} vertices; export it again")
     return count, np.dtype(fields)
@@ -130,7 +132,7 @@ def _lines(stream: BinaryIO, shown: str) -> list[str]:
         lines.append(text)
         if lines[0] != "ply":
             return lines
-    raise BadInput(f"{shown}: its header does not end; export it again")
+    raise BadInput(f"{shown}: its header has no end; export it again")
 
 
 def _checked(table: np.ndarray, shown: str) -> StoredSplats:

@@ -1,4 +1,4 @@
-"""Named arrays in safetensors files, which execute no code when read."""
+"""Named arrays in safetensors files, which do not execute code when read."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ def save_tensors(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str,
 
 
 def save_tensors_with_digest(path: Path, tensors: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
-    """Do as save_tensors, and return the SHA-256 of the bytes, computed from memory while they are written."""
+    """Do the same as save_tensors, and return the SHA-256 of the bytes, computed from memory while writing."""
     parts = _parts(tensors, metadata)
     with ThreadPoolExecutor(1) as pool:
         digest = pool.submit(_sha256, parts)
@@ -46,10 +46,10 @@ def _sha256(parts: list[bytes | memoryview]) -> str:
 
 
 def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> list[bytes | memoryview]:
-    """Return header and arrays in the order of the file."""
+    """Return header and arrays in file order."""
     rank = list(TYPES)
     whole = {name: np.asarray(array, array.dtype.newbyteorder("<"), order="C") for name, array in tensors.items()}
-    # TYPES go from small to large items: with the largest first, every array starts aligned to its own.
+    # TYPES go from small to large items: with the largest first, every array starts aligned.
     names = sorted(whole, key=lambda name: (-rank.index(whole[name].dtype.name), name))
     header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))} if metadata else {}
     at = 0
@@ -59,7 +59,7 @@ def _parts(tensors: dict[str, np.ndarray], metadata: dict[str, str] | None) -> l
         header[name] = {"dtype": TYPES[array.dtype.name], "shape": list(array.shape), "data_offsets": [at, end]}
         at = end
     text = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
-    # The data begin at a multiple of 8, so that aligned arrays stay aligned when a reader maps them.
+    # The data begin at a multiple of 8, so that arrays stay aligned when a reader maps them.
     text += b" " * (-len(text) % 8)
     return [len(text).to_bytes(8, "little") + text, *(whole[name].reshape(-1).view(np.uint8).data for name in names)]
 
@@ -73,7 +73,7 @@ def _write(path: Path, parts: list[bytes | memoryview]) -> None:
 def load_tensors(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Read the arrays, by name, and the metadata of a safetensors file.
 
-    Flipped bytes in the data go unnoticed here; the manifest's digests detect them.
+    Flipped bytes in the data are not detected here, but by the manifest's digests.
 
     Raises:
         ArtifactDamaged: The file is missing, truncated or invalid.

@@ -22,7 +22,7 @@ LONGEST_MS = 655_350  # 16 bits of 10 ms units
 def write_video(path: Path, pictures: list[Path], fps: float) -> tuple[Path, str]:
     """Write `path` with .mp4 or .gif added, atomically; return the file, and the name of the encoder."""
     if not pictures:
-        raise BadInput(f"{path}: there are no frames to encode")
+        raise BadInput(f"{path}: no frames to encode")
     if find_spec("av") is not None:
         return _write_mp4(path.with_suffix(".mp4"), pictures, fps), "PyAV, H.264"
     return _write_gif(path.with_suffix(".gif"), pictures, fps), "GIF (pip install 'stylerf[video]' for MP4)"
@@ -60,10 +60,10 @@ def encode(target: str | BinaryIO, frames: Iterable[np.ndarray], fps: float) -> 
 
     with av.open(target, "w", format="mp4") as video:
         stream = video.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
-        # Without macroblock-tree rate control, which makes other bytes of the same frames now and then (PyAV 18.1, one
-        # encoding of 64x64 pixels in 40 to one in three; none of 700 without).
+        # Without macroblock-tree rate control, which occasionally encodes the same frames to different bytes (PyAV
+        # 18.1, one encoding of 64x64 pixels in 40 to one in three; none of 700 without).
         stream.pix_fmt, stream.options = "yuv420p", {"crf": "18", "x264-params": "no-mbtree=1"}
-        # Untagged, players take large videos for BT.709 and small ones for BT.601.
+        # Players assume BT.709 for large and BT.601 for small untagged videos.
         codec = stream.codec_context
         codec.colorspace, codec.color_range = Colorspace.ITU709, ColorRange.MPEG
         codec.color_primaries = codec.color_trc = BT709

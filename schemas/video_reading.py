@@ -1,7 +1,7 @@
 """Videos read frame by frame: upright, in 8-bit sRGB, each frame with its time. Needs PyAV (extra `video`).
 
-A clip is untrusted: it is opened as a regular file by containers that hold all of their data themselves (a playlist
-would make FFmpeg open other files and addresses), and every frame is checked before it is converted.
+A clip is untrusted: it is opened as a regular file by self-contained containers only (a playlist would make FFmpeg open
+other files and addresses), and every frame is checked before it is converted.
 """
 
 from collections.abc import Iterator
@@ -72,11 +72,11 @@ class VideoFrame:
 
 
 def frames_of(path: Path, most: int = 0) -> Iterator[VideoFrame]:
-    """Decode the frames of a clip in the order of their times; each is valid until the next is asked for.
+    """Decode the frames of a clip in the order of their times; each is valid until the next is requested.
 
     Args:
         path: The clip.
-        most: Yield every second, third ... frame, so that there are about so many or up to twice as many; 0: all.
+        most: Yield every second, third ... frame, so that there are about this many, up to twice as many; 0: all.
 
     Raises:
         BadInput: The container is unknown, or the video is damaged, empty, of changing size or too long.
@@ -95,7 +95,7 @@ def frames_of(path: Path, most: int = 0) -> Iterator[VideoFrame]:
             size = size or (decoded.width, decoded.height)
             if (decoded.width, decoded.height) != size:
                 raise BadInput(
-                    f"{shown}: frame {number} is {decoded.width}x{decoded.height} where the first is "
+                    f"{shown}: frame {number} is {decoded.width}x{decoded.height}, but the first is "
                     f"{size[0]}x{size[1]}; cut the clip where its size changes"
                 )
             time = _time(decoded, stream, number)
@@ -109,7 +109,7 @@ def frames_of(path: Path, most: int = 0) -> Iterator[VideoFrame]:
             across = (round(size[0] * ratio), size[1]) if ratio >= 1 else (size[0], round(size[1] / ratio))
             yield VideoFrame(number, time - first, decoded, _orientation(decoded), across)
         if first is None:
-            raise BadInput(f"{shown} holds no frame that can be decoded; export the clip again")
+            raise BadInput(f"{shown} contains no frame that can be decoded; export the clip again")
 
 
 @contextmanager
@@ -118,7 +118,7 @@ def _video(path: Path, shown: str) -> Iterator[tuple[Any, Any]]:
         raise OutOfResources(f"{shown}: reading video needs PyAV; pip install 'stylerf[video]'")
     import av
 
-    # Titles need not be UTF-8, and nothing reads them: PyAV before 19 raises by default, later ones never do.
+    # Titles need not be UTF-8 and are not read: PyAV before 19 raises by default, later versions never do.
     lenient: dict[str, Any] = {} if int(av.__version__.partition(".")[0]) >= 19 else {"metadata_errors": "replace"}
     try:
         with opened(path) as stream:
@@ -132,14 +132,14 @@ def _video(path: Path, shown: str) -> Iterator[tuple[Any, Any]]:
                 ) from error
             with container:
                 if not container.streams.video:
-                    raise BadInput(f"{shown} has no picture, only {_others(container)}; give a video")
+                    raise BadInput(f"{shown} has no video stream, only {_others(container)}; give a video")
                 video = container.streams.video[0]
                 if video.codec_context is None:
-                    raise BadInput(f"{shown}: its codec is not known to this PyAV; convert the clip to H.264")
+                    raise BadInput(f"{shown}: this PyAV does not support its codec; convert the clip to H.264")
                 video.thread_type = "AUTO"
                 yield container, video
     except FileNotFoundError:
-        raise BadInput(f"{shown}: no such video") from None
+        raise BadInput(f"{shown}: video not found") from None
 
 
 def _decoded(container: Any, stream: Any, shown: str) -> Iterator[Any]:
@@ -167,7 +167,7 @@ def _others(container: Any) -> str:
 
 
 def _declared(container: Any, stream: Any) -> int:
-    """Return the number of frames by the clip's headers, roughly; 0 if unknown."""
+    """Return the approximate number of frames according to the clip's headers; 0 if unknown."""
     if stream.frames > 0:
         return min(int(stream.frames), MOST_FRAMES)
     seconds = (container.duration or 0) / 1e6

@@ -58,7 +58,8 @@ class WorkFolder:
             raise ArtifactStale(f"no {kind} {name} in {self.root}; make it with: {self._maker(kind)}")
         if artifact.kind != kind:
             raise ArtifactDamaged(
-                f"{artifact.path} is a {artifact.kind} by its manifest, not a {kind}; move it to where it belongs"
+                f"{artifact.path} is a {artifact.kind} according to its manifest, not a {kind}; move it to where it "
+                "belongs"
             )
         return artifact
 
@@ -77,7 +78,7 @@ class WorkFolder:
         matches = [item for item in names if item.startswith(name)]
         if len(matches) != 1:
             found = "several" if matches else "none"
-            raise UsageError(f"one {kind} called {name!r} expected, {found} found; there are {', '.join(names)}")
+            raise UsageError(f"expected one {kind} called {name!r}, found {found}; choose from {', '.join(names)}")
         return self.get(kind, matches[0])
 
     def up_to_date(self, kind: str, name: str, recipe: Recipe) -> Artifact | None:
@@ -100,11 +101,12 @@ class WorkFolder:
     def begin(
         self, kind: str, name: str, recipe: Recipe, protect: bool = False, rebuild: bool = False
     ) -> PartialArtifact:
-        """Resume an interrupted run of this recipe, or start a new one; see PartialArtifact."""
+        """Resume an interrupted run with this recipe, or start a new one; see PartialArtifact."""
         return PartialArtifact(self.root, _known(kind), valid_name(name), recipe, protect, rebuild)
 
     def copy(self, artifact: Artifact, name: str) -> Artifact:
-        """Copy an artifact to another name, replacing any artifact there. The digest, which covers no name, stays."""
+        """Copy an artifact to another name, replacing any artifact there. The digest, which covers no name, is
+        unchanged."""
         artifact.verify()  # a damaged file must not get a valid digest
         made = artifact.manifest
         recipe = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed, stored_digest=made.recipe)
@@ -116,7 +118,9 @@ class WorkFolder:
                     target.parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(artifact.file(record.path), target)
                 if file_sha256(target) != record.sha256:
-                    raise ArtifactDamaged(f"{artifact.path / record.path} changed while it was copied; run it again")
+                    raise ArtifactDamaged(
+                        f"{artifact.path / record.path} changed while being copied; run the same command again"
+                    )
             return partial.commit(
                 device=made.device,
                 threads=made.threads,
@@ -141,11 +145,11 @@ class WorkFolder:
             for ref in made.manifest.inputs:
                 source = self._in_place(ref.kind, ref.name)
                 if not (source.path / MANIFEST).is_file():
-                    reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is gone")
+                    reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, no longer exists")
                     continue
                 try:
                     if source.digest != ref.digest:
-                        reasons.append(f"{ref.kind} {ref.name} was made again after {made.kind} {made.name}")
+                        reasons.append(f"{ref.kind} {ref.name} was rebuilt after {made.kind} {made.name}")
                 except (ArtifactDamaged, ArtifactStale) as error:
                     reasons.append(f"{ref.kind} {ref.name}, from which {made.name} was made, is not readable: {error}")
                     continue
@@ -173,12 +177,12 @@ class WorkFolder:
 
 
 def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> list[Artifact]:
-    """Return what an artifact was made from, directly or through others of these kinds, the nearest first.
+    """Return what an artifact was made from, directly or through others of these kinds, nearest first.
 
     Missing and unreadable artifacts are left out.
     """
     work, found = WorkFolder(artifact.path.parent.parent), [artifact]
-    for made in found:  # grows in the loop
+    for made in found:  # grows during the loop
         for ref in made.manifest.inputs:
             if ref.kind in kinds and (ref.kind, ref.name) not in [(one.kind, one.name) for one in found]:
                 with suppress(StylerfError):
@@ -187,9 +191,9 @@ def sources_of(artifact: Artifact, kinds: Collection[str] = tuple(CURRENT)) -> l
 
 
 def newest(artifacts: Iterable[Artifact]) -> list[Artifact]:
-    """Sort artifacts, the newest first.
+    """Sort artifacts, newest first.
 
-    Those dated in the future come last, since a wrong clock dated them. Of two with the same date, the one with more
+    Those dated in the future come last, since their clock was wrong. Of two with the same date, the one with more
     sources is newer.
     """
     now = datetime.now(UTC) + CLOCK_SLACK
@@ -203,12 +207,12 @@ def newest(artifacts: Iterable[Artifact]) -> list[Artifact]:
 
 def _known(kind: str) -> str:
     if kind not in CURRENT:
-        raise UsageError(f"unknown kind of artifact {kind!r}; kinds are {', '.join(CURRENT)}")
+        raise UsageError(f"unknown kind of artifact {kind!r}; choose from {', '.join(CURRENT)}")
     return kind
 
 
 def shortened_name(name: str) -> str:
-    """Return a name that was put together of others, cut to the longest valid length, with a digest of the whole."""
+    """Return a name composed of others, cut to the longest valid length, with a digest of the whole."""
     if len(name) <= LONGEST_NAME:
         return name
     return f"{name[: LONGEST_NAME - 7]}-{digest_of(name)[:6]}"

@@ -1,1 +1,1 @@
-"""The pipeline: one module a stage; joins what is on disk (schemas) with the mathematics (stylerf)."""
+"""The pipeline: one module per stage; connects what is on disk (schemas) with the mathematics (stylerf)."""

@@ -1,4 +1,4 @@
-"""Blend: a field that mixes fields made from one field, by weight and by region. Nothing is trained."""
+"""Blend: a field that mixes fields derived from one field, by weight and by region. Nothing is trained."""
 
 from schemas.errors import BadInput
 from schemas.work_folder import Artifact, PartialArtifact

@@ -97,17 +97,17 @@ class StMaps:
 
 
 def plate_camera(scene: SceneData, index: int) -> LensCamera:
-    """The camera of view `index` at its photo's size and with its lens; BadInput where the scene does not know it."""
+    """Return the camera of view `index` at its photo's size, with its lens; BadInput if that is not recorded."""
     view = scene.views[index]
     if (lens := view.lens) is None:
         raise BadInput(
-            f"{scene.folder}: the scene does not know the lens of view {view.name}'s photo; scenes imported by "
-            "earlier versions lack it: run `stylerf import` again"
+            f"{scene.folder}: the lens of the photo of view {view.name} is not recorded (the scene was imported by an "
+            "earlier version); run `stylerf import` again"
         )
     if max(lens.width, lens.height) > LARGEST_SIDE or lens.width * lens.height > LARGEST_PICTURE:
         raise BadInput(
             f"{scene.folder}: the photo of view {view.name} is {lens.width}x{lens.height}; at most {LARGEST_SIDE} "
-            f"pixels a side and {LARGEST_PICTURE / 1e6:.0f} million in all can be rendered"
+            f"pixels per side and {LARGEST_PICTURE / 1e6:.0f} million in total can be rendered"
         )
     stored = lens.distortion
     p1, p2 = stored.tangential
@@ -120,7 +120,7 @@ def plate_camera(scene: SceneData, index: int) -> LensCamera:
 
 
 def map_files(scene: SceneData, views: Sequence[int]) -> dict[int, StMaps]:
-    """By view, the maps of its lens; views that share a lens share its maps."""
+    """Return each view's lens maps; views that share a lens share its maps."""
     lenses: dict[tuple, int] = {}
     found = {}
     for index in views:

@@ -52,7 +52,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Views and their arrangement. figures: the effect of the fault in numbers."""
+    """Views and their arrangement. figures: the effect of the fault as numbers."""
 
     shots: list[Shot]
     layout: str
@@ -146,7 +146,7 @@ def source_scene(config: CorruptSceneConfig) -> SceneData:
     """Load the scene to corrupt; ArtifactStale if it is not the one that was chosen."""
     artifact = Artifact(Path(config.source))
     if artifact.digest != config.source_digest:
-        raise ArtifactStale(f"{config.source} was rebuilt meanwhile; rerun `stylerf stress`")
+        raise ArtifactStale(f"{config.source} was rebuilt during the run; rerun `stylerf stress`")
     return load_scene(artifact)
 
 
@@ -163,7 +163,7 @@ def _chosen(
     if config.fault.startswith("views-"):
         count = int(config.amount)
         if len(train) <= count:
-            raise BadInput(f"{config.source} has {len(train)} training views; {count} would not be fewer")
+            raise BadInput(f"{config.source} has only {len(train)} training views; this fault needs more than {count}")
         kept = capture.spread_views(poses[:, :3, 3], count, generator)
     elif config.fault == "hidden":
         kept = capture.one_sided(poses, config.amount, generator)
@@ -215,7 +215,7 @@ def averaged(photo: np.ndarray, height: int, width: int) -> np.ndarray:
 
 
 def _bounds(data: SceneData, config: CorruptSceneConfig) -> Bounds:
-    """Return the scene's bounds; for the near-plane fault, with a late near plane or a cut box."""
+    """Return the scene's bounds; for the near-plane fault, with a too distant near plane or a cropped box."""
     bounds = data.bounds
     if config.fault != "near-plane":
         return bounds

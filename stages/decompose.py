@@ -28,7 +28,7 @@ from stylerf.training.stylize.trainer import StylizationTrainer
 
 SPEC = Spec(stage="decompose", verb="stylize", revision=5, writes="field")
 FINAL_RATE = 0.1  # of the learning rate, at the end
-WORKING_BYTES = 1e9  # what a step takes beside the cached views
+WORKING_BYTES = 1e9  # what a step needs besides the cached views
 
 
 def run(inputs: dict[str, Artifact], config: DecomposeConfig, partial: PartialArtifact, context: Context) -> dict:

@@ -1,4 +1,4 @@
-"""Deform init: a fitted field with a deformation that starts from nothing and learns what the photos ask for."""
+"""Deform init: a fitted field with a deformation that starts at zero and is trained on the photos."""
 
 import numpy as np
 import torch
@@ -59,7 +59,7 @@ def run(inputs: dict[str, Artifact], config: DeformConfig, partial: PartialArtif
     if fitter.dropped:
         gained = fitter.state.best - fitter.state.before
         judges = "held-out views gain" if aside else "the only training view gains"
-        context.progress.say(f"the deformation is dropped: {judges} {gained:.2f} dB, not {config.gate:g}")
+        context.progress.say(f"the deformation is discarded: {judges} {gained:.2f} dB, less than {config.gate:g}")
     save_field(partial.path, field, background)
     save_deformation(partial.path, deformation)
     state = fitter.state
@@ -95,5 +95,5 @@ def _train(fitter: DeformationFitter, config: DeformConfig, partial: PartialArti
 
 
 def held_out(train: list[int]) -> list[int]:
-    """Training views that the gate judges by; none of a single one, whose photo then has to do for both."""
+    """Return the training views that the gate judges by; none of a single view, which then serves both purposes."""
     return spread(train, min(4, max(1, len(train) // 10))) if len(train) > 1 else []

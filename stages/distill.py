@@ -33,13 +33,15 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
     edit = load_edit(inputs["edit"])
     made_from = {ref.digest for ref in inputs["edit-dataset"].manifest.inputs if ref.role == "scene"}
     if inputs["scene"].digest not in made_from:
-        raise BadInput(f"{inputs['edit-dataset'].path} was extracted from another scene than {inputs['scene'].path}")
+        raise BadInput(
+            f"{inputs['edit-dataset'].path} was extracted from a different scene than {inputs['scene'].path}"
+        )
     for view in views:
         camera = scene.cameras[view.view] if view.view < len(scene.cameras) else None
         if camera is None or (view.width, view.height) != (camera.width, camera.height):
             raise ArtifactDamaged(
-                f"{inputs['edit-dataset'].path}: its view {view.view}, {view.width}x{view.height}, is none of the "
-                f"scene's; make it again"
+                f"{inputs['edit-dataset'].path}: its view {view.view}, {view.width}x{view.height}, is not in the "
+                "scene; rebuild it"
             )
     for record in inputs["scene"].manifest.files:
         if record.path != EDIT_TARGETS:
@@ -65,9 +67,9 @@ def run(inputs: dict[str, Artifact], config: DistillConfig, partial: PartialArti
 
 
 def held_depth(view: EditView) -> np.ndarray:
-    """sum(w t) [n] that fine-tuning holds the view's rays to; 0, none, where a ray ends in the background.
+    """sum(w t) [n] that fine-tuning keeps the view's rays at; 0 (none) if a ray ends in the background.
 
-    There the sum is next to nothing, and its relative error, which fine-tuning takes, could be anything.
+    There the sum is close to zero, so its relative error, which fine-tuning uses, is meaningless.
     """
     return np.where(view.depth > 0, view.through, np.float32(0))
 
@@ -75,10 +77,10 @@ def held_depth(view: EditView) -> np.ndarray:
 def edited_photo(
     scene: SceneData, view: EditView, module, changes: PaletteEdits, config: DistillConfig, threads: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels carry it.
+    """Return the photo with the edit [h, w, 3 or 4] uint8, and which of the view's pixels show it.
 
-    LAENeRF edits whole pixels, by the alpha of the field: what shows beside the region would learn its colors. Here
-    rims are blended; one pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
+    LAENeRF edits whole pixels, by the alpha of the field: what is visible next to the region would learn its colors.
+    Here edges are blended; one pixel further in, alpha_E is over 0.96 of alpha (98 % of pixels, still life, 48x48).
     """
     photo = scene.images(view.view)
     fading = view.transition if config.fade else None
@@ -100,7 +102,7 @@ def write_unedited_photos(scene: SceneData, shown: set[int], folder: Path) -> No
 
 
 def keep_earlier_edits(scene: SceneData, targets: dict[str, np.ndarray]) -> None:
-    """Add the pixels of earlier edits of the same photos: training a whole field must include those."""
+    """Add the pixels of earlier edits of the same photos: training a whole field must include them."""
     before = edit_targets(scene)
     for index in sorted({index for index, _ in before}):
         parts = [before[index, part] for part in ("", EARLIER) if (index, part) in before]

@@ -103,8 +103,8 @@ def settings_of(config: EditConfig) -> EditSettings:
 def in_style_colors(views: list[EditView], style_image: torch.Tensor, seed: int) -> list[EditView]:
     """The views with the style image's mean color and covariance, except where the edit fades out.
 
-    A palette that starts with the region's colors moves only as far as the Gram matrices pull it, which are nearly
-    blind to hue: a yellow shovel came out in yellow strokes.
+    A palette that starts with the region's colors moves only as far as the Gram matrices pull it, and these are nearly
+    blind to hue: a yellow shovel got yellow strokes.
     """
     colors = sampled_colors(views, np.random.default_rng([seed, 6]))
     matching = match_colors(torch.from_numpy(colors), shown_colors(style_image).flatten(1).T)
@@ -117,7 +117,7 @@ def in_style_colors(views: list[EditView], style_image: torch.Tensor, seed: int)
 
 
 def drawn(trainer: EditTrainer, view: EditView, threads: int) -> np.ndarray:
-    """The region in one view, in the photo and by the present module, on gray, [h, 2 w, 3] uint8."""
+    """The region in one view, in the photo and as the current module shows it, on gray, [h, 2 w, 3] uint8."""
     found = trainer.evaluator.colors(view.x, view.directions, threads=threads)
     pictures = []
     for colors in (view.target, found):

@@ -49,7 +49,7 @@ from stages.run.runner import Spec, versions
 
 
 def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateConfig:
-    """Add the digests of the files it names and of the available networks, so that a change of them is noticed.
+    """Add the digests of the files it names and of the available networks, so that changes are noticed.
 
     field: may name a style image too. Raises BadInput if a file is missing, or an image cannot be read.
     """
@@ -58,14 +58,14 @@ def pinned(config: EvaluateConfig, field: Artifact | None = None) -> EvaluateCon
         read_image(style)
     styled = style_file(config, field) is not None
     if config.ceiling and not styled:
-        raise UsageError("--ceiling paints in the manner of a style image, and there is none; name one with --style")
+        raise UsageError("--ceiling needs a style image; give one with --style")
     networks = available_networks(config.perceptual != "none", styled, config.features, field)
     digests: dict[str, Any] = digests_of_files(config)
     return replace(config, **digests, networks=networks, features=config.features if styled else "")
 
 
 def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
-    """Current digests of the files that options name; empty for options that name none."""
+    """Return the current digests of the files that options name; empty for options that name none."""
     style = style_file(config, None)
     return {
         "style_digest": "" if style is None else file_sha256(style),
@@ -129,7 +129,7 @@ class Evaluation:
         self.references = References(config.reference, self.scene, self.frames) if config.reference else None
         made_by_style = self.field is not None and is_stylized(self.field)
         self.stylized = made_by_style or self.base is not None or bool(config.style)
-        self.painted: dict[int, np.ndarray] = {}  # by place among the frames: their photos painted in 2D
+        self.painted: dict[int, np.ndarray] = {}  # by index of the frame: its photo painted in 2D
         self.painted_rows: list[Row] = []
         self.rows: list[Row] = []
         self.base_rows: list[Row] = []
@@ -179,7 +179,9 @@ class Evaluation:
 
     def paint_views(self) -> None:
         """Paint the photos of the views that are shown in 2D, into `painted`, and measure them like renders."""
-        from stages.evaluation.painted_views import PaintedViews  # late: it needs the trainer, other evaluations do not
+        from stages.evaluation.painted_views import (
+            PaintedViews,
+        )  # imported late: it needs the trainer, which other evaluations do not
 
         style = style_file(self.config, self.field)
         shown = [index for index, _ in self._shown() if self.rows[index]["name"] not in self.unmatched]
@@ -203,7 +205,7 @@ class Evaluation:
         context.progress.finish()
 
     def _shown(self) -> list[tuple[int, str]]:
-        """Places of the views on the contact sheet, each with a word for its heading."""
+        """Return the indices of the views on the contact sheet, each with a word for its heading."""
         return chosen_views(self.rows, "content_ssim" if self.stylized else "psnr", self.config.sheet)
 
     def _photo(self, render: Render) -> Photo | None:
@@ -360,7 +362,7 @@ class Evaluation:
 def training_curve(field: Artifact | None) -> dict | None:
     """{"of": name, "points": [{seconds, psnr, held_out, ...}]} of this field, or of the nearest field behind it.
 
-    held_out: false where the views were being trained on by then, or if that is unknown.
+    held_out: false if the views were already being trained on, or if that is unknown.
     """
     for artifact in [field, *fields_behind(field)] if field is not None else []:
         points = artifact.manifest.figures.get("curve")

@@ -38,7 +38,7 @@ def run(inputs: dict[str, Artifact], config: ExportConfig, partial: PartialArtif
 
 
 def pinned(config: ExportConfig) -> ExportConfig:
-    """Add the digest of the camera file, so that a change is noticed."""
+    """Add the digest of the camera file, so that changes are noticed."""
     path = Path(config.along)
     known = config.along in ("", *OWN_VIEWS, *PATHS) or not path.exists()
     return replace(config, path_digest="" if known else digest_of_cameras(path))

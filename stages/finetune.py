@@ -28,12 +28,12 @@ from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
-SEEN = 2e-2  # fraction of a ray's largest weight from which a sample counts as seen
-MARGIN = 2  # cells: samples in front of a surface, which is where its color is looked for too
+SEEN = 2e-2  # fraction of a ray's largest weight above which a sample is treated as seen
+MARGIN = 2  # cells: samples in front of a surface, where its color is also looked up
 
 
 def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes the field that shows the edit; returns the figures."""
+    """Write the field that shows the edit; return the figures."""
     scene = load_scene(inputs["scene"])
     field, background = load_field(inputs["field"])
     threads = set_threads(context.threads)
@@ -41,8 +41,8 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
     whole = config.colors == "field"
     if whole and isinstance(field.color, RegionColor):
         raise BadInput(
-            f"{inputs['field'].path} holds a local edit over its colors, which the whole field's cannot learn under: "
-            "leave out --colors field, or teach the earlier edits by it too"
+            f"{inputs['field'].path} contains a local edit that covers its own colors, so these cannot be trained: "
+            "leave out --colors field, or use it for the earlier edits too"
         )
     edited, device = edited_pixels(scene, train, earlier=whole), gpu_of(context, field)
     if not whole:
@@ -85,8 +85,8 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
 def _patch(
     inputs: dict[str, Artifact], field: RadianceField, cameras: list[Camera], threads: int, device: str | None
 ) -> RegionColor:
-    """Colors for the region and MARGIN cells around it, over the field's. cameras: that see it."""
-    otherwise = ", or teach the whole field with --colors field"
+    """Return colors for the region and MARGIN cells around it, over the field's. cameras: those that see it."""
+    otherwise = ", or train the whole field with --colors field"
     region = region_of_field(inputs["region"], inputs["field"], field, otherwise)
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
     seen = pixel_cells(_surfaces(field, some, threads, device))
@@ -94,19 +94,19 @@ def _patch(
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], threads: int, device: str | None) -> Iterator[PackedSurface]:
-    """Each view's surface."""
+    """Yield each view's surface."""
     geometry = style_backend(device).fixed_geometry(field, cameras, SEEN, threads, 0)
     return (geometry.surface(view) for view in range(len(cameras)))
 
 
 def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPixels:
-    """The edited pixels of an edited scene's training views, by their place in `train`.
+    """Return the edited pixels of an edited scene's training views, by position in `train`.
 
-    earlier: with those of the edits before the last; colors of the last region's own cannot learn from them.
+    earlier: include those of edits before the last, from which separate colors of the last region cannot learn.
     """
     targets = edit_targets(scene)
     if not targets:
-        raise BadInput(f"{scene.folder} carries no edit; give a scene that `stylerf distill` made")
+        raise BadInput(f"{scene.folder} contains no edit; give a scene made by `stylerf distill`")
     views: list[np.ndarray] = []
     pixels: list[np.ndarray] = []
     depths: list[np.ndarray] = []
@@ -115,19 +115,19 @@ def edited_pixels(scene: SceneData, train: list[int], earlier: bool) -> EditedPi
     for place, index in enumerate(train):
         parts = [targets[index, part] for part in edits if (index, part) in targets]
         own = np.concatenate([np.empty(0, np.int64), *(part.pixels for part in parts)])
-        if len(own):  # a view may show nothing of it as solidly as was asked for
+        if len(own):  # a view may show nothing of it as solid as requested
             views.append(np.full(len(own), place, np.int64))
             pixels.append(own)
             depths.extend(part.depth for part in parts)
             beside.append(_around(own, scene.cameras[index]))
     if not pixels:
-        raise BadInput(f"{scene.folder}: no training view carries the edit")
+        raise BadInput(f"{scene.folder}: no training view shows the edit")
     around = np.concatenate([np.full(len(own), group[0]) for group, own in zip(views, beside)]), np.concatenate(beside)
     return EditedPixels(np.concatenate(views), np.concatenate(pixels), np.concatenate(depths), around)
 
 
 def _around(pixels: np.ndarray, camera: Camera) -> np.ndarray:
-    """Row-major numbers of the pixels that lie beside edited ones: within a fiftieth of the picture's longer side."""
+    """Return the row-major indices of pixels next to edited ones: within a fiftieth of the picture's longer side."""
     edited = np.zeros((camera.height, camera.width), bool)
     edited.reshape(-1)[pixels] = True
     reach = max(2, max(edited.shape) // 50)

@@ -48,17 +48,17 @@ GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for l
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
 FIT_BYTES, PARAMETER_BYTES = 0.37e9, 94
-BRIEF_SECONDS, BRIEF_STEPS = 60.0, 3000  # on a CPU, less is better spent on coarser colors (decision 0067)
+BRIEF_SECONDS, BRIEF_STEPS = 60.0, 3000  # on a CPU, shorter times are better spent on coarser colors (decision 0067)
 FIVE_LEVEL_ENDS = (0.08, 0.17, 0.27, 0.39, 0.55)  # FitSettings.level_ends of five levels
 # In a contraction, steps after which levels end at the latest (FitSettings).
 LEVEL_MAX_STEPS = (350, 850, 1350, 1900)
 ESTIMATED_AFTER_CHECKS = 2  # the first one loads kernels
-NEIGHBORS = 4  # of a camera, by whose mean distance it is inside a capture or at its edge
+NEIGHBORS = 4  # of a camera, whose mean distance shows whether it is inside a capture or at its edge
 RATE = {"object": 2e-2, "forward": 4e-2, "unbounded": 4e-2}
 
 
 def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Writes field.json and field.safetensors; returns the figures, among them the curve of quality over time."""
+    """Write field.json and field.safetensors; return the figures, including the curve of quality over time."""
     scene = load_scene(inputs["scene"])
     threads = set_threads(context.threads)
     space, reason = space_of(scene, config.space)
@@ -66,8 +66,9 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     train = scene.splits["train"]
     if len(train) < 2:
         raise BadInput(
-            f"{inputs['scene'].path}: of {len(scene.views)} views {len(train)} {'is' if len(train) == 1 else 'are'} to "
-            "train on where a fit needs at least 2; import more photos, or keep none for tests by --test-every 0"
+            f"{inputs['scene'].path}: only {len(train)} of {len(scene.views)} views "
+            f"{'is' if len(train) == 1 else 'are'} for training, but a fit needs at least 2; import more photos, or "
+            "hold none out for tests with --test-every 0"
         )
     held_out = _held_out(scene, config.held_out)
     order = [i for i in train if i not in held_out] + held_out
@@ -85,9 +86,9 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
     with nullcontext() if device else compiling_note(context.progress.say):
         _train(fitter, config, partial, context)
     if settings.force_growth and fitter.state.level < len(settings.levels) - 1:
-        why = f"{fitter.state.step} steps are too few"
+        why = f"{fitter.state.step} steps were too few"
         if fitter.state.growth_ended:
-            why = "a fall in quality led back to a coarser level"
+            why = "quality fell, so the fit went back to a coarser level"
         fitter.state.decisions.append(f"--capacity {config.capacity} was not reached: {why}")
         context.progress.say(fitter.state.decisions[-1])
     context.progress.say(fitter.search.summary(fitter.field.parameters))
@@ -101,7 +102,7 @@ def run(inputs: dict[str, Artifact], config: FitConfig, partial: PartialArtifact
 
 
 def report_ineffective_options(config: FitConfig, layout: str, space: str, cut_out: bool, context: Context) -> None:
-    """Note options for objects that were set but have no effect here. cut_out: some photo has alpha."""
+    """Report options for objects that were set but have no effect here. cut_out: some photo has alpha."""
     works = {
         "opacity_weight": layout == "object",
         "coverage_weight": layout == "object" and cut_out,
@@ -112,14 +113,14 @@ def report_ineffective_options(config: FitConfig, layout: str, space: str, cut_o
     if idle:
         flags = ", ".join("--" + name.replace("_", "-") for name in idle)
         context.progress.say(
-            f"no effect of {flags}, for objects cut out by transparency: layout {layout}, space {space}, photos "
-            f"{'with' if cut_out else 'without'} transparency"
+            f"no effect: {flags} (only for objects cut out by transparency); here layout {layout}, space {space}, "
+            f"photos {'with' if cut_out else 'without'} transparency"
         )
 
 
 def report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> None:
-    """Says that the bound is below what the largest field takes to fit; of voxels the first: how many of a finer one
-    are kept is not known before."""
+    """Report if the limit is below what fitting the largest field needs; for voxels, the first level: how many finer
+    ones are kept is not known in advance."""
     kinds, finest = settings.kinds, settings.levels[-1].resolution
     # The last level may have fewer parameters than the one before.
     levels = settings.levels[:1] if "voxel" in (kinds.density, kinds.color) else settings.levels[-2:]
@@ -133,8 +134,8 @@ def report_memory(settings: FitSettings, space: SpaceWarp, context: Context) -> 
     needed = FIT_BYTES + (PARAMETER_BYTES + 4 * max(0, context.threads - 2)) * most
     if context.memory < needed:
         context.progress.say(
-            f"--memory {in_words(context.memory)} is less than a field of {level.resolution}^3 takes to fit, about "
-            f"{in_words(needed)} beside its photos: it is exceeded where the field grows so large"
+            f"--memory {in_words(context.memory)} is less than fitting a field of {level.resolution}^3 needs, about "
+            f"{in_words(needed)} besides its photos: the limit will be exceeded if the field grows that large"
         )
 
 
@@ -160,16 +161,16 @@ def _train(fitter: Fitter, config: FitConfig, partial: PartialArtifact, context:
 
 
 def time_beside_training(config: FitConfig, fitter: Fitter) -> str:
-    """Say what a time budget does not contain."""
+    """Describe what a time budget does not include."""
     checks = f"loading kernels and {round(1 / CHECK_EVERY)} checks on held-out or training views"
     views = ", then views to EXR and PNG (not with --no-buffers)" if config.buffers else ""
-    return f"{fitter.settings.seconds:.0f} s of training; on top of it come {checks}{views}"
+    return f"{fitter.settings.seconds:.0f} s of training, plus {checks}{views}"
 
 
 def estimated_total(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
-    """Estimate the time in all from the last check: rays take as long in other checks, and in views rendered after.
+    """Estimate the total time from the last check: rays take as long in other checks, and in views rendered afterwards.
 
-    elapsed: seconds since kernels began to load. Larger fields, and prunings that are tried, take longer.
+    elapsed: seconds since kernels began to load. Larger fields, and tried prunings, take longer.
     """
     budget, each = fitter.settings.seconds, fitter.check_seconds
     checks = each / CHECK_EVERY
@@ -178,11 +179,11 @@ def estimated_total(config: FitConfig, fitter: Fitter, elapsed: float) -> str:
     loading = max(0.0, elapsed - fitter.state.seconds - fitter.checks * each)
     parts = [f"{budget:.0f} s of training", f"{loading:.0f} s of loading", f"{checks:.0f} s of checks"]
     parts += [f"{views:.0f} s of rendering {len(fitter.dataset.cameras)} views"] if config.buffers else []
-    return f"about {budget + loading + checks + views:.0f} s or more in all: {', '.join(parts)}"
+    return f"about {budget + loading + checks + views:.0f} s or more in total: {', '.join(parts)}"
 
 
 def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: str | None = None) -> FitSettings:
-    """Return the settings of a fit of this scene, with what the options leave to its layout and space."""
+    """Return the settings of a fit of this scene, with defaults that depend on its layout and space."""
     seconds, steps = budget_of(config.budget)
     fixed = capacity_of(config.capacity)
     if scene.background == "none":
@@ -212,17 +213,17 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
         least_weight=MIN_CELL_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
-        # Each point of a capture is seen from about one direction, so its harmonics hold much of its mean color: cut
-        # off, they lose 5 to 12 dB, which says nothing about a field that is trained without.
+        # Each point of a capture is seen from about one direction, so its harmonics contain much of its mean color:
+        # dropping them loses 5 to 12 dB, which says nothing about a field trained without them.
         prunings=tuple(name for name in FitSettings.prunings if name != "degree" or scene.layout == "object"),
-        # An object's light differs from side to side anyway.
+        # An object is lit differently from side to side anyway.
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, scene, brief=not device and _is_brief(seconds, steps)),
     )
 
 
 def _smoothness(config: FitConfig, scene: SceneData) -> float:
-    """Weight of the total variation: few photos of one side say little about what lies between them."""
+    """Return the weight of the total variation: few photos of one side say little about what is between them."""
     if config.smoothness >= 0:
         return config.smoothness
     few = ENOUGH_PHOTOS / len(scene.splits["train"]) if scene.layout == "forward" else 1.0
@@ -244,7 +245,7 @@ def _cpu_samples(seconds: float) -> int:
 def _levels_of(
     fixed: tuple[int, int, int] | None, kinds: Kinds, space: SpaceWarp, scene: SceneData, brief: bool
 ) -> dict:
-    """Settings of the capacity levels. brief: there is no time for the finest colors of a capture."""
+    """Return the settings of the capacity levels. brief: there is no time for the finest colors of a capture."""
     contraction, four = space.kind == "contraction", FitSettings.level_ends
     # In a contraction, a coarse grid trained longer learns wrong geometry; elsewhere it overfits less.
     more = {"level_max_steps": LEVEL_MAX_STEPS if contraction else ()}
@@ -258,7 +259,7 @@ def _levels_of(
 
 
 def _fixed_levels(resolution: int, density: int, color: int, first_color: int) -> tuple[CapacityLevel, ...]:
-    """Levels that lead to one capacity, which is reached sooner than by starting there."""
+    """Return levels that lead to one capacity, which is reached sooner than by starting there."""
     coarser = [n for n in (64, 128, 192) if n < resolution]
     return tuple(
         CapacityLevel(
@@ -283,17 +284,18 @@ def _held_out(scene: SceneData, wanted: int) -> list[int]:
         raise BadInput(f"{count} of {len(train)} training views cannot be held out; lower --held-out")
     if scene.layout == "object" or 2 * count > len(train):
         return spread(train, count)
-    # At the edge of a capture a finer field gains little: what a view shows there no other one has seen (0064).
+    # At the edge of a capture a finer field gains little: what a view shows there, no other view has seen (0064).
     inner = surrounded(np.array([scene.cameras[view].center for view in train]))
     return spread([train[place] for place in inner], count)
 
 
 def surrounded(centers: np.ndarray) -> list[int]:
-    """The half of the cameras [n, 3], n > 1, whose nearest neighbors are closest, in order: those inside a capture.
+    """Return the half of the cameras [n, 3], n > 1, whose nearest neighbors are closest, in order: those inside a
+    capture.
 
-    More than half where several are as close, as along an even path.
+    More than half if several are equally close, as along an even path.
     """
-    from scipy.spatial import cKDTree  # half a second, for which no other verb need wait
+    from scipy.spatial import cKDTree  # takes half a second, which no other verb needs
 
     nearest, _ = cKDTree(centers).query(centers, min(1 + NEIGHBORS, len(centers)))  # each one's first is itself
     apart = nearest[:, 1:].mean(1)

@@ -36,8 +36,8 @@ from stylerf.geometry.silhouette_bounds import hull_box
 
 
 def digest_of_source(source: Path, format: str = "auto", images: str = "", cameras: str = "") -> str:
-    """SHA-256 of the files with poses and of every photo, its mask and its known depth, each by its name in the source.
-    Other files do not count. BadInput if the source cannot be read.
+    """Return the SHA-256 of the files with poses and of every photo, mask and known depth, by name in the source. Other
+    files are ignored. BadInput if the source cannot be read.
     """
     kind = found_in(source, format).kind
     if kind == "splats":
@@ -170,7 +170,7 @@ def _of_video(clips: list[Path], config: ImportConfig, partial: PartialArtifact,
 
 
 def import_scene(source: SourceScene, config: ImportConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Write the scene of what a reader found or structure from motion reconstructed; return the figures."""
+    """Write the scene from what a reader found or structure from motion reconstructed; return the figures."""
     here, missing = present(source.cameras)
     here, doubled = _without_doubles([replace(one, name=_inside(one.name)) for one in here])
     _report_missing(source, here, missing, context)
@@ -230,7 +230,7 @@ def _report_unused_masks(source: Path, here: list[SourceCamera], context: Contex
 
 
 def _without_doubles(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
-    """Split off the repeated cameras of a photo: lists merged by hand name some photos twice."""
+    """Split off repeated cameras of a photo: manually merged lists name some photos twice."""
     first: dict[Path, SourceCamera] = {}
     for one in cameras:
         first.setdefault(one.photo.resolve(), one)
@@ -247,7 +247,7 @@ def _with_distinct_names(cameras: list[SourceCamera]) -> list[SourceCamera]:
     """Give views of one name the suffixes of their photos: IMG_1.JPG and IMG_1.PNG, as some cameras and phones save.
 
     Raises:
-        BadInput: That leaves two views with one name.
+        BadInput: Two views still share a name.
     """
     names = Counter(one.name for one in cameras)
     apart = [one if names[one.name] == 1 else replace(one, name=one.name + one.photo.suffix) for one in cameras]
@@ -262,7 +262,7 @@ def _with_distinct_names(cameras: list[SourceCamera]) -> list[SourceCamera]:
 
 
 def _with_splits(cameras: list[SourceCamera], every: int) -> list[SourceCamera]:
-    """Keep the source's own split if it has one; otherwise make every `every`-th photo by name a test view."""
+    """Keep the source's split if it has one; otherwise make every `every`-th photo by name a test view."""
     if any(one.split for one in cameras):
         return [replace(one, split=one.split or "train") for one in cameras]
     ordered = sorted(cameras, key=lambda one: natural(one.source))
@@ -286,7 +286,7 @@ def _develop(
 
     context.progress.start("import", len(photos), "photo")
     jobs = ((index, *pair) for index, pair in enumerate(zip(photos, cameras, strict=True)))
-    # As many at once as fit: decoding is half of the work, compressing most of the rest, and codecs use one core.
+    # As many at once as fit in memory: decoding is half of the work, compressing most of the rest; codecs use one core.
     takes = DEVELOPING_BYTES * max(one.size[0] * one.size[1] for one in photos)
     at_once = max(1, min(context.threads, allowance() // takes))
     for done, found in enumerate(in_order(develop, jobs, at_once), start=1):
@@ -306,7 +306,7 @@ def _framed(source: SourceScene, photos: list[Sized], plain: list[Camera], backg
     scene_normalization.check_baseline(poses, near_far, points)
     layout = scene_normalization.decided_layout(poses, background.cuts_out)
     if config.layout != "auto":
-        layout = scene_normalization.Layout(config.layout, "asked for")
+        layout = scene_normalization.Layout(config.layout, "it was requested")
     if layout.name == "object" and source.keeps_frame and background.kind == "alpha":
         similarity = np.eye(4)
     elif layout.name == "forward":

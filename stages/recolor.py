@@ -68,7 +68,7 @@ def _filter(scene: SceneData, field: RadianceField, config: RecolorConfig, threa
         pixel = np.array([int(row) * camera.width + int(column)])
         x, alpha = ends_of_rays(field, camera, pixel, threads)
         if alpha[0] < SEEN:
-            raise BadInput(f"--at {text} shows nothing of the field; give a pixel of an object")
+            raise BadInput(f"--at {text} hits nothing in the field: choose a pixel where the render shows the object")
         across, down, along = field.space.unwarp(x)[0].tolist()
         centers.append((across, down, along))
         reaches.append(REACH * float(np.linalg.norm(np.array(centers[-1]) - camera.center)))

@@ -54,7 +54,7 @@ SPEC = Spec(
     stage="region_select", verb="select", revision=3, writes="region",
     outside=lambda config: {"files_digest": digest_of_masks(config)},
 )  # fmt: skip
-LOOKING_VIEWS = 24  # views whose photos give the cells their colors
+LOOKING_VIEWS = 24  # number of views whose photos give the cells their colors
 PIXELS_A_CELL = 1.5
 CLAIMS = 2  # rounds in which views add what belongs to the region as much as what has grown
 TINT = np.array([1.0, 0.1, 0.8], np.float32)  # of the region, in previews
@@ -74,7 +74,7 @@ class Sight:
 
     @cached_property
     def cells(self) -> int:
-        """Cells per side: as given, or PIXELS_A_CELL pixels each."""
+        """Return the cells per side: as given, or of PIXELS_A_CELL pixels each."""
         if self.fixed_cells:
             return self.fixed_cells
         some = self.looks[:: max(1, len(self.looks) // 3)]
@@ -110,7 +110,7 @@ class Sight:
         camera = self.scene.cameras[view]
         if pixels.shape[:2] != (camera.height, camera.width):
             raise BadInput(
-                f"{path} has {pixels.shape[1]}x{pixels.shape[0]} pixels where view {name} has "
+                f"{path} has {pixels.shape[1]}x{pixels.shape[0]} pixels, but view {name} has "
                 f"{camera.width}x{camera.height}; give a mask of that size"
             )
         return view, coverage(pixels)
@@ -120,12 +120,12 @@ def masks_of(config: SelectConfig) -> list[tuple[str, str, Path]]:
     """Option, view and file of its scribbles and masks; BadInput if one is missing."""
     files = [(option, *file_of(text)) for option in ("scribble", "mask") for text in getattr(config, option)]
     if missing := [path for *_, path in files if not path.is_file()]:
-        raise BadInput(f"{missing[0]}: there is no such mask")
+        raise BadInput(f"{missing[0]}: mask not found")
     return files
 
 
 def digest_of_masks(config: SelectConfig) -> str:
-    """Digest of the scribbles and masks with their views, empty without any."""
+    """Return the digest of the scribbles and masks with their views, empty without any."""
     files = masks_of(config)
     return digest_of([[*one, file_sha256(path)] for *one, path in files]) if files else ""
 
@@ -141,7 +141,7 @@ def run(inputs: dict[str, Artifact], config: SelectConfig, partial: PartialArtif
         sight = Sight(scene, field, level_of(background), cells, threads, context.progress.say)
         solid = solid_cells(field, sight.cells, threads, config.solid)
         if not solid.any():
-            raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; give a smaller --solid")
+            raise BadInput(f"{inputs['field'].path}: nothing in the field is solid; lower --solid")
         edit = marked_cells(sight, solid, config)
         edit = combined_cells(edit, others, field, inputs)
         share = float((edit & solid).sum() / solid.sum())
@@ -222,11 +222,11 @@ class Seeds:
 
 
 def _seeds(sight: Sight, at: tuple[str, ...], scribbles: tuple[str, ...]) -> Seeds:
-    """Where the seeds' rays end; BadInput for a pixel or scribble that hits nothing."""
+    """Return where the seeds' rays end; BadInput for a pixel or scribble that hits nothing."""
     found = [(np.empty((0, 3), np.float32), np.empty(0, np.int64), np.empty(0, np.int64))]
 
     def meet(view: int, pixels: np.ndarray) -> float:
-        """Add what the pixels meet; the fraction that meets anything."""
+        """Add what the pixels hit; return the fraction that hits anything."""
         x, alpha = ends_of_rays(sight.field, sight.scene.cameras[view], pixels, sight.threads)
         met = alpha > 0.5
         found.append((x[met], np.full(met.sum(), view), pixels[met]))
@@ -247,7 +247,7 @@ def _seeds(sight: Sight, at: tuple[str, ...], scribbles: tuple[str, ...]) -> See
             raise BadInput(f"{text}: no pixel of the scribble is brighter than half")
         share = meet(view, bright)
         if not share:
-            raise BadInput(f"{text}: no pixel of the scribble meets anything of the field: draw it over the object")
+            raise BadInput(f"{text}: the scribble hits nothing in the field: draw it over the object")
         if share < 1:
             sight.say(f"{text}: {1 - share:.0%} of the scribble hits nothing in the field and is ignored")
     return Seeds(*(np.concatenate(parts) for parts in zip(*found)))
@@ -317,7 +317,7 @@ def combined_cells(edit: np.ndarray, others: dict, field: RadianceField, inputs:
 
 def _check(edit: np.ndarray, solid: np.ndarray, share: float, config: SelectConfig) -> None:
     if not (edit & solid).any():
-        raise BadInput("the selection is empty: seeds, masks or box meet no solid part of the field")
+        raise BadInput("the selection is empty: the seeds, masks or box contain no solid part of the field")
     if share > config.most:
         raise BadInput(
             f"the region has grown over {share:.0%} of everything solid (limit --most {config.most:g}): lower "
@@ -326,7 +326,7 @@ def _check(edit: np.ndarray, solid: np.ndarray, share: float, config: SelectConf
 
 
 def _previews(sight: Sight, region: Region, config: SelectConfig, folder: Path) -> list[str]:
-    """Write images of the region over the photos, preview/NAME.png; the names of their views."""
+    """Write images of the region over the photos, preview/NAME.png; return the names of their views."""
     named = [pixel_of(t)[0] for t in config.at] + [file_of(t)[0] for t in (*config.scribble, *config.mask)]
     views = [view_index(sight.scene, name, f"--preview {name}") for name in (config.preview or named)]
     every = sight.scene.splits["train"] + sight.scene.splits["test"]

@@ -87,7 +87,7 @@ def run(inputs: dict[str, Artifact], config: RenderConfig, partial: PartialArtif
     context.progress.start("render", len(shots), "frame")
     device = gpu_of(context, field)
     if device and config.deep:
-        context.progress.say("--deep: rendering on the CPU, which alone keeps the samples of a ray")
+        context.progress.say("--deep: rendering on the CPU, as only the CPU keeps the samples of each ray")
         device = None
     renderer = _gpu_renderer(field, device, scene.cameras[0]) if device else _cpu_renderer(field, config, threads)
 
@@ -133,13 +133,13 @@ def _check_video(config: RenderConfig, shots: list[Shot]) -> None:
 def _check_field(
     name: str, field: RadianceField, config: RenderConfig, regions: Mapping[str, object], context: Context
 ) -> None:
-    """Raise BadInput for what the named field cannot show; say what will be missing."""
+    """Raise BadInput for what the named field cannot show; report what will be missing."""
     if config.cryptomatte and not regions:
         raise BadInput(
             f"--cryptomatte: no region was selected in the space of field {name}; select one with `stylerf select`"
         )
     if config.deep and isinstance(field.color, BlendedColor):
-        raise BadInput(f"--deep: field {name} is a blend, whose samples have no colors of their own")
+        raise BadInput(f"--deep: field {name} is a blend, whose samples have no individual colors")
     if config.displacement and field.displacement is None:
         context.progress.say(f"field {name} has no deformation; --displacement writes nothing")
     if config.masks and not regions:
@@ -162,7 +162,7 @@ def _render_missing(
         if rendered is None:
             return
         write(frame, camera, rendered)
-        # Here, in the thread: an interrupted render waits for it, and must not lose the frame.
+        # Here, in the thread: an interrupted render waits for it and must not lose the frame.
         with recording:
             journal.add(files_of(frame))
 
@@ -205,7 +205,7 @@ def _gpu_renderer(field: RadianceField, device: str, camera: Camera) -> Renderer
     from stylerf.rendering.view_gpu import GpuRenderer
 
     renderer = GpuRenderer(field, device)
-    renderer.choose(camera)  # once for all frames, so that shards and resumed runs decide alike
+    renderer.choose(camera)  # once for all frames, so that shards and resumed runs make the same decision
     return lambda camera, regions: (renderer.view(camera, regions=regions), None)
 
 
@@ -215,7 +215,7 @@ def _st_maps(scene: SceneData) -> dict[str, StMaps]:
 
 
 def pinned(config: RenderConfig) -> RenderConfig:
-    """Add the digest of the camera file, so that a change is noticed; set count to 1 for paths of fixed length."""
+    """Add the digest of the camera file, so that changes are noticed; set count to 1 for paths of fixed length."""
     if config.path in PATHS:
         return replace(config, path_digest="")
     path = Path(config.path)
@@ -224,7 +224,7 @@ def pinned(config: RenderConfig) -> RenderConfig:
 
 
 def shots_of(scene: SceneData, config: RenderConfig) -> list[Shot]:
-    """The cameras to render, each with the index of the scene's view it repeats, or None."""
+    """Return the cameras to render, each with the index of the scene's view it repeats, or None."""
     shots = shots_along(scene, config.path, config.count, config.frames)
     if config.plate:  # the views' cameras, but not their pictures
         return [(plate_camera(scene, view).scaled(config.scale), None) for _, view in shots if view is not None]
@@ -244,7 +244,7 @@ def _frame_of(camera: Camera, view: int | None, config: RenderConfig, maps: StMa
 
 
 def _files_of(frame: Frame, config: RenderConfig, field: RadianceField, regions: Mapping) -> list[str]:
-    """Every file that _write writes for a frame."""
+    """Return every file that _write writes for a frame."""
     folders = [f"masks/{region}" for region in regions] if config.masks else []
     folders += ["depth"] if config.depth else []
     folders += ["displacement"] if config.displacement and field.displacement is not None else []
@@ -257,8 +257,8 @@ def render_frame(renderer: Renderer, frame: Frame, camera: Camera, regions: Mapp
     rendered, deep = renderer(camera, regions)
     if not all(np.isfinite(plane).all() for plane in (rendered.rgb, rendered.alpha, rendered.z)):
         raise ArtifactDamaged(
-            f"field {field} renders NaN or infinite values in frame {frame.name}, although each of its numbers is in "
-            "range; rebuild it"
+            f"field {field} renders NaN or infinite values in frame {frame.name}, although its parameters are valid; "
+            "rebuild it"
         )
     return rendered, deep
 

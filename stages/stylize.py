@@ -66,12 +66,12 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
 
 
 SPEC = Spec(stage="stylize", verb="stylize", revision=21, writes="field", outside=_outside)
-WORKING_BYTES = 1.5e9  # what a step takes beside the views: full-size images, the extractor's graph
+WORKING_BYTES = 1.5e9  # what a step needs besides the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 
 
 def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArtifact, context: Context) -> dict:
-    """Write the stylized field; return its figures, among them the curve of the loss."""
+    """Write the stylized field; return its figures, including the loss curve."""
     begun = time.monotonic()
     scene = load_scene(inputs["scene"], inputs["field"])
     field, background = load_field(inputs["field"])
@@ -130,14 +130,14 @@ def run(inputs: dict[str, Artifact], config: StylizeConfig, partial: PartialArti
 
 
 def _style_image(config: StylizeConfig, context: Context) -> torch.Tensor:
-    """The style image [3 or 4, h, w], or in its place the first reference [3, h, w]."""
+    """Return the style image [3 or 4, h, w], or in its place the first reference [3, h, w]."""
     if config.style:
         return read_style_image(Path(config.style), config.keep_frame, context.progress.say)
     return torch.from_numpy(read_colors(file_of(config.references[0])[1])).permute(2, 0, 1).contiguous()
 
 
 def _finest(color: ColorPart) -> int | None:
-    """Cells per side of the finest level of the trained colors."""
+    """Return the cells per side of the finest level of the trained colors."""
     own = color.own if isinstance(color, RegionColor) else color
     return own.finest if isinstance(own, HashColor) else None
 
@@ -153,7 +153,7 @@ def _problem(
     context: Context,
     device: str | None,
 ) -> StyleProblem:
-    """What any method is given. level: gray of the background."""
+    """Return what every method receives. level: gray of the background."""
     views, threads = scene.splits["train"], torch.get_num_threads()
     long_side = max(max(camera.width, camera.height) for camera in scene.cameras)
     cameras = [scene.cameras[i] for i in views]
@@ -190,7 +190,7 @@ def _method(
     context: Context,
     device: str | None,
 ) -> StyleMethod:
-    """The method before its first step."""
+    """Return the method before its first step."""
 
     def extractor(layers: str) -> FeatureExtractor:
         return FeatureExtractor(resolved.state, layers, resolved.kind).to(device or "cpu")
@@ -198,7 +198,7 @@ def _method(
     def color(generator: np.random.Generator, styled: StyledScene) -> ColorPart:
         if region is None:
             return new_color(config, generator, styled.pixel_cells())
-        # In no cell around the region: nothing there has to stay as it is.
+        # In no cell around the region: nothing there has to be preserved.
         return region_color(config, problem.field.color, region.edit, styled.pixel_cells())
 
     own = extractor(image_layers(config, resolved.state))
@@ -223,7 +223,7 @@ def _method(
 
 
 def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneData, partial: PartialArtifact) -> dict:
-    """Figures that only this method has; its references are written beside the result."""
+    """Return the figures that only this method has; its references are written next to the result."""
     if isinstance(config, SnerfConfig):
         return {"rounds": config.rounds, "pictures": method.scene.state.counts.get("pictures", 0)}
     if not isinstance(method, RefNpr) or not isinstance(config, RefNprConfig):
@@ -240,12 +240,12 @@ def _figures_of_method(method: StyleMethod, config: StylizeConfig, scene: SceneD
 
 
 def _memory_for_views(cameras: list[Camera], context: Context) -> float:
-    """Bytes for caching the views, with a note if they do not all fit."""
+    """Return the bytes for caching the views, with a note if they do not all fit."""
     left = max(available_bytes(context.memory) - WORKING_BYTES, 0)
     needed = BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in cameras)
     if needed > left:
         context.progress.say(
             f"caching {len(cameras)} views takes about {in_words(needed)}, more than the {in_words(left)} of memory "
-            "left: views that do not fit are recomputed at each use"
+            "left: views that do not fit are recomputed each time"
         )
     return left

@@ -5,7 +5,7 @@ import sys
 
 
 def _leave_current_folder_out() -> None:
-    """Remove the current folder, which may hold a stranger's modules, from the import path.
+    """Remove the current folder, which may contain untrusted modules, from the import path.
 
     Python adds it for `python -m` and for an empty entry of PYTHONPATH, such as one from a stray colon. It stays if
     PYTHONPATH names it in full, or if it is the checkout that this runs from.

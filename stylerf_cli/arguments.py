@@ -22,7 +22,7 @@ Field: TypeAlias = "dataclasses.Field[Any]"
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises UsageError and takes no abbreviations."""
+    """An argument parser that raises UsageError and does not accept abbreviations."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
@@ -48,7 +48,7 @@ def add_common(parser: Parser, everything: bool = True) -> None:
         return text if everything else argparse.SUPPRESS
 
     group.add_argument("--json", action="store_true", help="print the result as one JSON object")
-    group.add_argument("--quiet", action="store_true", help="print errors only, no progress and notes")
+    group.add_argument("--quiet", action="store_true", help="print only errors, no progress or notes")
     group.add_argument(
         "--config", type=Path, metavar="FILE.toml", help="read options from a file; command-line flags take precedence"
     )
@@ -67,7 +67,7 @@ def add_common(parser: Parser, everything: bool = True) -> None:
         "--only", action="store_true", help=advanced("stop if an earlier stage is missing or out of date")
     )
     group.add_argument(
-        "--no-paths", action="store_true", help=advanced("record outside files by name, without their folders")
+        "--no-paths", action="store_true", help=advanced("record external files by name only, without their folders")
     )
 
 
@@ -166,8 +166,8 @@ def build_config(
         others: configs of the verb's other uses, whose keys are ignored.
 
     Raises:
-        UsageError: an unknown key (the nearest known one is named), a value of the wrong type, a missing required
-            option, or whatever the config itself refuses.
+        UsageError: an unknown key (the nearest known one is suggested), a value of the wrong type, a missing required
+            option, or anything the config itself rejects.
     """
     elsewhere = {item.name for other in others for item in options_of(other)}
     kinds = dict((item.name, (item, kind)) for item, kind in _fields(config))
@@ -177,7 +177,7 @@ def build_config(
         if name in kinds and not hasattr(flags, name):
             values[name] = typed(value, *kinds[name], f"{where}: {key}")
         elif name not in kinds and name not in elsewhere:
-            raise UsageError(f"{where}: there is no option {key!r}{nearest(name, list(kinds))}")
+            raise UsageError(f"{where}: unknown option {key!r}{nearest(name, list(kinds))}")
     of_file = set(values)
     for name, (item, _) in kinds.items():
         if hasattr(flags, name):
@@ -188,7 +188,7 @@ def build_config(
     try:
         return config(**values)
     except ValueError as error:
-        # The config's own message does not say where a value came from.
+        # The config's own message does not name the source of a value.
         source = f" (options from {where}: {', '.join(sorted(of_file))})" if of_file else ""
         raise UsageError(f"{error}{source}") from error
 
@@ -198,7 +198,7 @@ def nearest(word: str, known: list[str], listing: bool = True) -> str:
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     if close:
         return f"; did you mean {close[0]!r}?"
-    return f"; known are {', '.join(known)}" if known and listing else ""
+    return f"; choose from {', '.join(known)}" if known and listing else ""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -209,7 +209,7 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise UsageError(f"--config {path} is nested too deeply to be read")
         return _checked_integers(tomllib.loads(text), path)
     except FileNotFoundError:
-        raise UsageError(f"--config {path} cannot be read: there is no such file") from None
+        raise UsageError(f"--config {path}: file not found") from None
     except RecursionError:
         raise UsageError(f"--config {path} is nested too deeply to be read") from None
     except ValueError as error:  # invalid TOML, or numbers with thousands of digits

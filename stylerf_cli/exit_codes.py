@@ -1,6 +1,6 @@
 """Exit code and error line of a command.
 
-0 done, 1 a fault of stylerf itself or a failed check, 2 usage, 3 bad input (or an optimization that diverges on it),
+0 done, 1 an error in stylerf itself or a failed check, 2 usage, 3 bad input (or an optimization that diverges on it),
 4 artifact damaged or stale, 5 out of resources, 130 interrupted.
 """
 
@@ -25,7 +25,7 @@ _NO_PATH = {errno.ENAMETOOLONG, errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.
 def code_and_line(error: BaseException, argv: list[str], work: Path | None) -> tuple[int, str]:
     """Return exit code and error line of an exception.
 
-    The traceback of an unexpected one goes to a file that the line names.
+    The traceback of an unexpected one goes to a file named in the line.
     """
     if isinstance(error, StylerfError):
         return error.exit_code, one_line(error)
@@ -102,7 +102,7 @@ def _write_crash_log(error: BaseException, argv: list[str], work: Path | None) -
                 continue
             return str(folder / name)
     write_fault(text)
-    return "the lines above, since no folder is writable"
+    return "the lines above, because no folder is writable"
 
 
 def _temporary() -> Path | None:
@@ -117,5 +117,5 @@ def _versions() -> str:
         from stages.run.runner import versions
 
         return str(versions())
-    except Exception as error:  # a library that cannot be loaded may be the fault itself
+    except Exception as error:  # a library that cannot be loaded may be the cause itself
         return f"unknown ({error})"

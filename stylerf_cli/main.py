@@ -41,7 +41,7 @@ EXIT_CODES = (
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code. argv: without the name of the program."""
     open_standard_streams()
-    # numpy warns where numbers of a damaged file overflow; whatever is read is checked to be finite and says so itself.
+    # numpy warns if numbers of a damaged file overflow; everything read is checked to be finite and reported anyway.
     warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy|stages|stylerf|schemas")
     _name_the_nameless()
     wait_passively()
@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _name_the_nameless() -> None:
-    """Give a user without an entry in passwd, as in containers, a home (that does not exist) and a name.
+    """Give a user without a passwd entry, as in containers, a name and a home (that does not exist).
 
     Libraries ask for both on import and break without them.
     """
@@ -93,10 +93,10 @@ def _run(argv: list[str], state: dict[str, Path | None]) -> dict[str, Any] | Non
     if not argv or argv[0].startswith("-"):
         if _parsed(_top_parser(), argv) is None:
             return None
-        raise UsageError("a verb is missing; see `stylerf --help`")
+        raise UsageError("no verb given; see `stylerf --help`")
     verb = argv[0]
     if verb not in VERBS:
-        raise UsageError(f"there is no verb {verb!r}{nearest(verb, list(VERBS))}")
+        raise UsageError(f"unknown verb {verb!r}{nearest(verb, list(VERBS))}")
     module = importlib.import_module(VERBS[verb][0])
     # The options of some verbs depend on how they are used.
     config = module.options_for(argv[1:]) if hasattr(module, "options_for") else module.CONFIG
@@ -185,12 +185,12 @@ def _version() -> str:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Treat SIGTERM, with which schedulers and containers end a job, as Ctrl-C, so that the run can resume."""
+    """Treat SIGTERM, which schedulers and containers send to end a job, as Ctrl-C, so that the run can resume."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [signal.SIGTERM]
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the parent wants it ignored
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # otherwise the parent wants it ignored
         numbers.append(signal.SIGINT)
     before = {number: signal.signal(number, _interrupt) for number in numbers}
     try:
@@ -201,7 +201,7 @@ def _terminable() -> Iterator[None]:
 
 
 def _interrupt(*_: object) -> None:
-    sys.unraisablehook = _resend_interrupt  # for good: half-built objects are destroyed as the process ends
+    sys.unraisablehook = _resend_interrupt  # permanently: half-built objects are destroyed as the process ends
     raise KeyboardInterrupt
 
 

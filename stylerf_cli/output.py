@@ -14,7 +14,7 @@ from schemas.safe_names import printable
 def open_standard_streams() -> None:
     """Open stdin, stdout and stderr to the null device if they were closed by the parent (`>&-`).
 
-    Otherwise the next file to be opened would take their number and receive what is printed.
+    Otherwise the next file opened would take their descriptor and receive the output.
     """
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
@@ -24,7 +24,7 @@ def open_standard_streams() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, errors="backslashreplace", closefd=False))
         if os.name == "nt" and hasattr(getattr(sys, name), "reconfigure"):
-            getattr(sys, name).reconfigure(encoding="utf-8")  # a pipe there has an encoding of the country's
+            getattr(sys, name).reconfigure(encoding="utf-8")  # a pipe there has a locale-dependent encoding
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def write_lines(lines: Sequence[str]) -> None:
 
 
 def write_out(text: str) -> None:
-    """Write to stdout and flush, escaping what its encoding lacks; OutputClosed if nobody reads it any more."""
+    """Write to stdout and flush, escaping what its encoding lacks; OutputClosed if nobody reads it anymore."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -78,7 +78,7 @@ def write_out(text: str) -> None:
 
 
 def write_fault(text: str) -> None:
-    """Write lines to stderr. If nobody reads them, the exit code is all there is."""
+    """Write lines to stderr. If nobody reads them, only the exit code remains."""
     with suppress(OSError, ValueError):
         sys.stderr.write("".join(f"{printable(line)}\n" for line in text.splitlines()))
         sys.stderr.flush()
@@ -89,7 +89,7 @@ def print_json(value: Any) -> None:
     write_out(json.dumps(plain(value), allow_nan=False) + "\n")
 
 
-if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
+if TYPE_CHECKING:  # imports numpy, which must not delay `--help`
     from schemas.work_folder import Artifact
 
 

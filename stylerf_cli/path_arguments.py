@@ -20,7 +20,7 @@ def work_or_artifact(path: Path) -> WorkFolder | Artifact:
         return Artifact(path.resolve())
     work = WorkFolder(path)
     if not work.artifacts() and not work.unfinished():
-        raise BadInput(f"{path} holds no artifact; start with: stylerf import PHOTOS {shlex.quote(str(path))}")
+        raise BadInput(f"{path} contains no artifact; start with: stylerf import PHOTOS {shlex.quote(str(path))}")
     return work
 
 

@@ -13,7 +13,7 @@ SHOWN_AFTER_SECONDS = 2.0
 REDRAW_SECONDS = 0.1
 LINE_EVERY_SECONDS = 5.0
 RATE_WINDOW_SECONDS = 15.0
-# Lowest assumed rate of a time budget: compiling does not count against it, and would inflate the time left.
+# Lowest assumed rate of a time budget: compiling is not part of it, and would inflate the remaining time.
 MIN_BUDGET_RATE = 0.5
 BAR_WIDTH = 24
 
@@ -27,7 +27,7 @@ class Bars:
         unicode = "utf" in (getattr(stream, "encoding", None) or "").lower()
         self._full, self._empty = ("█", "░") if unicode else ("#", ".")
         self._open = False
-        self._unread = False  # the reader of the stream is gone
+        self._unread = False  # the reader of the stream has closed it
         self._drawn = False  # the terminal's last line is an unfinished bar
 
     def start(self, label: str, total: float | None = None, unit: str = "step") -> None:

@@ -1,4 +1,4 @@
-"""One command in progress: its options, its output and its pipeline."""
+"""One running command: its options, its output and its pipeline."""
 
 import argparse
 import sys
@@ -32,14 +32,14 @@ class Common:
 
 
 class Options:
-    """The options of the verb that is run, and of its prerequisites (see stages.pipeline.stage_runner.StageOptions)."""
+    """The options of the command's verb, and of its prerequisites (see stages.pipeline.stage_runner.StageOptions)."""
 
     def __init__(self, verb: str, flags: argparse.Namespace, verbs: list[str], others: Collection[type] = ()) -> None:
         """Read the file.
 
         Args:
             verbs: all verbs, which may have tables.
-            others: configs of the verb's other uses, whose keys its table may hold too.
+            others: configs of the verb's other uses, whose keys its table may contain too.
         """
         self.verb, self._flags, self._others = verb, flags, others
         self._path: Path | None = flags.config
@@ -47,7 +47,7 @@ class Options:
         self._tables = {key: value for key, value in content.items() if key in verbs and isinstance(value, dict)}
         top = {key: value for key, value in content.items() if key not in self._tables}
         if unknown := [key for key, value in top.items() if isinstance(value, dict)]:
-            raise UsageError(f"{self._path}: there is no verb {unknown[0]!r}{nearest(unknown[0], verbs)}")
+            raise UsageError(f"{self._path}: unknown verb {unknown[0]!r}{nearest(unknown[0], verbs)}")
         self._common = {key: top.pop(key) for key in COMMON_KEYS if key in top}
         self._top = top
         for key, value in self._common.items():
@@ -57,7 +57,7 @@ class Options:
                 )
 
     def config(self, config: type | None) -> Any:
-        """Return the config of the verb that is run, None for a verb without options of its own."""
+        """Return the config of the command's verb, None for a verb without its own options."""
         table = {**self._top, **self._tables.get(self.verb, {})}
         if config is None:
             if table:
@@ -69,12 +69,12 @@ class Options:
         """Return the file for commands that this one runs, None without one.
 
         Raises:
-            UsageError: it holds options of this verb outside a table, which the others would take for theirs.
+            UsageError: it contains options of this verb outside a table, which the others would apply to themselves.
         """
         if self._path and self._top:
             raise UsageError(
-                f"{self._path}: {min(self._top)!r} is outside a table, where commands that `stylerf {self.verb}` runs "
-                f"would take it for theirs; put it under [{self.verb}]"
+                f"{self._path}: {min(self._top)!r} is outside a table, so it would also apply to the commands that "
+                f"`stylerf {self.verb}` runs; put it under [{self.verb}]"
             )
         return self._path
 
@@ -111,14 +111,14 @@ class Options:
         return Common(**values)
 
 
-if TYPE_CHECKING:  # every verb imports this module, and `--help` must not wait for numpy
+if TYPE_CHECKING:  # every verb imports this module, and numpy must not delay `--help`
     from schemas.work_folder import Artifact
     from stages.pipeline.pipeline import Pipeline
     from stages.run.progress import Progress
 
 
 def made(kind: str, artifact: "Artifact") -> dict[str, Any]:
-    """Return what verbs that make an artifact of this kind report of it."""
+    """Return what verbs that make an artifact report about it."""
     manifest = artifact.manifest
     return {kind: artifact.path, "name": artifact.name, "figures": manifest.figures, "seconds": manifest.seconds}
 

@@ -1,1 +1,1 @@
-"""Reading and writing what each kind of artifact holds."""
+"""Reading and writing the contents of each kind of artifact."""

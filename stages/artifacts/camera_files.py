@@ -1,4 +1,4 @@
-"""Files of cameras for `stylerf render --path`: a list of ours, frames.json, nerfstudio's camera_path.json, any
+"""Camera files for `stylerf render --path`: a list in our own format, frames.json, nerfstudio's camera_path.json, any
 transforms.json, COLMAP models, cameras.json of 3D Gaussian splatting, .chan and USD."""
 
 import math
@@ -25,13 +25,13 @@ from stylerf.geometry.camera_conventions import from_colmap, from_opengl, with_l
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.scene_normalization import moved
 
-# Beside a camera_path.json: how nerfstudio turned, moved and scaled the frame of its source.
+# Next to a camera_path.json: how nerfstudio rotated, shifted and scaled the frame of its source.
 OF_NERFSTUDIO = "dataparser_transforms.json"
 MOST_CHAN = 64 << 20  # bytes
 
 
 def digest_of_cameras(path: Path) -> str:
-    """Return the digest of the file, or a model's files, and of the one with nerfstudio's frame, if there is one.
+    """Return the digest of the file or of a model's files, including the file with nerfstudio's frame if there is one.
 
     BadInput if the path is not UTF-8.
     """
@@ -44,7 +44,7 @@ def digest_of_cameras(path: Path) -> str:
 
 
 def read_cameras(path: Path, scene: SceneData) -> CameraFile:
-    """The cameras of a file, in scene units; BadInput where it is of no known form, or a camera is invalid."""
+    """Return the cameras of a file, in scene units; BadInput if its format is unknown or a camera is invalid."""
     where = f"--path {printable(str(path))}"
     if path.is_dir():
         return _checked_sizes(read_colmap(path, scene, where), where)
@@ -55,7 +55,7 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
     try:
         content = read_json(path)
     except FileNotFoundError as error:
-        raise BadInput(f"{where}: neither a known path nor a file") from error
+        raise BadInput(f"{where}: neither a known camera path nor an existing file") from error
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
     keys = content.keys() if isinstance(content, dict) else set()
@@ -70,21 +70,21 @@ def read_cameras(path: Path, scene: SceneData) -> CameraFile:
     else:
         what = f"an object of {', '.join(map(printable, sorted(keys)[:6]))}" if keys else f"{content!r:.20}"
         raise BadInput(
-            f"{where} is {what}; a list of cameras was expected, each with world_from_camera, or an object with "
-            "`views` (frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
+            f"{where} is {what}; expected a list of cameras, each with world_from_camera, or an object with `views` "
+            "(frames.json), `camera_path` (nerfstudio) or `frames` (transforms.json)"
         )
     return _checked_sizes(found, where)
 
 
 def _checked_sizes(found: CameraFile, where: str) -> CameraFile:
-    """Refuse an empty list, and pictures too large to render."""
+    """Reject an empty list, and pictures too large to render."""
     if not found.cameras:
-        raise BadInput(f"{where}: a list of cameras was expected, it is empty")
+        raise BadInput(f"{where}: the list of cameras is empty")
     for index, camera in enumerate(found.cameras):
         if max(camera.width, camera.height) > LARGEST_SIDE or camera.width * camera.height > LARGEST_PICTURE:
             raise BadInput(
-                f"{where}: camera {index} has {camera.width}x{camera.height} pixels; at most {LARGEST_SIDE} a side and "
-                f"{LARGEST_PICTURE / 1e6:.0f} million in all can be"
+                f"{where}: camera {index} has {camera.width}x{camera.height} pixels; at most {LARGEST_SIDE} per side "
+                f"and {LARGEST_PICTURE / 1e6:.0f} million in total are supported"
             )
     return found
 
@@ -98,14 +98,14 @@ def _ours(entries: object, like: Camera, where: str) -> CameraFile:
             cameras.append(_camera_of_entry(entry.get("camera", entry), f"{index:04d}", like))
         except (AttributeError, KeyError, TypeError, ValueError, OverflowError, InvalidValue) as error:
             raise BadInput(f"{where}: camera {index} is invalid ({error})") from error
-    remark = f"{where}: lens distortion is dropped from {distorted} cameras; --plate renders it for the scene's views"
+    remark = f"{where}: the lens distortion of {distorted} cameras is ignored; --plate renders it for the scene's views"
     return CameraFile(cameras, (remark,) if distorted else ())
 
 
 def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
     """Fill in what an entry lacks from `like`: its size, horizontal field of view and center, at the entry's size.
 
-    One focal length alone holds for both sides: pixels are square.
+    A single focal length applies to both axes: pixels are square.
     """
     width, height = int(entry.get("width", like.width)), int(entry.get("height", like.height))
     kx, ky = width / like.width, height / like.height
@@ -116,7 +116,7 @@ def _camera_of_entry(entry: dict, name: str, like: Camera) -> Camera:
 
 
 def _transforms(path: Path, scene: SceneData, where: str) -> CameraFile:
-    """Cameras in the frame of the scene's source, as import would read them; photos need not be there."""
+    """Read cameras in the frame of the scene's source, as import would; photos need not exist."""
     try:
         source = transforms.read(path, "")
         like = scene.cameras[0]
@@ -129,12 +129,12 @@ def _transforms(path: Path, scene: SceneData, where: str) -> CameraFile:
     except BadInput as error:
         raise BadInput(f"{where}: {error}") from error
     bent = sum(not one.distortion.none for one in source.cameras)
-    remarks = (f"{bent} cameras of {path.name} have a lens distortion, which renders leave out",) if bent else ()
+    remarks = (f"the lens distortion of {bent} cameras in {path.name} is ignored",) if bent else ()
     return CameraFile(cameras, remarks)
 
 
 def _nerfstudio(content: dict, path: Path, scene: SceneData, where: str) -> CameraFile:
-    """The cameras that nerfstudio's viewer exports: camera_to_world with OpenGL axes, in nerfstudio's own frame.
+    """Read a camera path exported by nerfstudio's viewer: camera_to_world with OpenGL axes, in nerfstudio's frame.
 
     That frame is known if dataparser_transforms.json is next to the file; otherwise it is assumed to be the source's.
     `fov` is vertical, in degrees.
@@ -168,8 +168,8 @@ def _source_from_nerfstudio(path: Path) -> tuple[np.ndarray, tuple[str, ...]]:
     beside = path.parent / OF_NERFSTUDIO
     if not beside.is_file():
         return np.eye(4), (
-            f"{path.name} is taken to be in the frame of the scene's source; where nerfstudio has turned or scaled it, "
-            f"lay the {OF_NERFSTUDIO} of that training beside it",
+            f"{path.name} is assumed to be in the coordinate frame of the scene's source; if nerfstudio rotated or "
+            f"scaled that frame, put the {OF_NERFSTUDIO} of its training run next to the file",
         )
     content, where = read_json(beside), printable(str(beside))
     rows = entry_of(content, "transform", where)
@@ -187,7 +187,7 @@ def read_colmap(path: Path, scene: SceneData, where: str) -> CameraFile:
     """Read the cameras of a COLMAP model in a folder or its sparse/0, by the names of the photos."""
     folders = model_folders(path)
     if not folders:
-        raise BadInput(f"{where} is a folder without a COLMAP model (cameras and images, also in sparse/0)")
+        raise BadInput(f"{where} is a folder without a COLMAP model (cameras and images, here or in sparse/0)")
     try:
         model = read_model(folders[0])
     except BadInput as error:
@@ -205,7 +205,7 @@ def read_colmap(path: Path, scene: SceneData, where: str) -> CameraFile:
         bent += not warp.none
     remarks = model.remarks
     if bent:
-        remarks += (f"{bent} cameras of {path.name} have a lens distortion, which renders leave out",)
+        remarks += (f"the lens distortion of {bent} cameras in {path.name} is ignored",)
     return CameraFile(cameras, remarks)
 
 
@@ -271,6 +271,6 @@ def read_chan(path: Path, scene: SceneData, where: str) -> CameraFile:
         except InvalidValue as error:
             raise BadInput(f"{name}: {error}") from error
     return CameraFile(cameras, (
-        f"{path.name} is taken to have y up, rotation order ZXY and pictures of {like.width}x{like.height}, which "
-        "a .chan does not state",
+        f"{path.name}: assuming y up, rotation order ZXY and {like.width}x{like.height} pixels, which .chan files do "
+        "not record",
     ))  # fmt: skip

@@ -13,7 +13,7 @@ Shot = tuple[Camera, int | None]
 
 
 def shots_along(scene: SceneData, path: str, count: int, frames: str = "") -> list[Shot]:
-    """Return the cameras along a path, each with the index of the scene's view that it is, or None.
+    """Return the cameras along a path, each with the index of the scene's view that it repeats, or None.
 
     Args:
         path: train, test, views, one of PATHS or a camera file.
@@ -46,6 +46,6 @@ def _chosen(path: str, frames: str, count: int) -> range:
 
 
 def focus_depth(scene: SceneData) -> float:
-    """Return the depth that paths of forward-facing captures turn around: near and far's mean in inverse depth."""
+    """Return the depth around which forward-facing paths turn: the mean of near and far in inverse depth."""
     bounds = scene.bounds
     return 1 / (0.5 * (1 / max(bounds.near, 1e-3) + 1 / max(bounds.far, bounds.near * 2)))

@@ -1,4 +1,4 @@
-"""Reads and writes what a local edit is learned from (edit-dataset) and what is learned (edit)."""
+"""Reads and writes the data that a local edit is learned from (edit-dataset) and the learned edit itself (edit)."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ SWATCH_SIDE = 64
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """A palette module, and what the user changed of its palette."""
+    """A palette module and the user's changes of its palette."""
 
     module: PaletteModule
     changes: PaletteEdits
@@ -62,7 +62,7 @@ def save_palette(folder: Path, learned: np.ndarray, now: np.ndarray, shares: lis
 
 
 def load_edit(artifact: Artifact) -> Edit:
-    """The edit; ArtifactDamaged where its files do not make one."""
+    """Return the edit; ArtifactDamaged if its files are not a valid one."""
     artifact.check_sizes()
     arrays, _ = artifact.tensors(NUMBERS)
     data = artifact.json(DESCRIPTION)
@@ -76,7 +76,7 @@ def load_edit(artifact: Artifact) -> Edit:
 def palette_entries(artifact: Artifact) -> list[dict]:
     """The colors of palette.json: index, name, learned and now as text, share, and column, the module's number."""
     data = artifact.json(PALETTE)
-    with sound(artifact.path / PALETTE, "a sound palette"):
+    with sound(artifact.path / PALETTE, "a valid palette"):
         entries = validation.entry(data, "colors", list)
         for number, one in enumerate(entries):
             validation.integer(one, "index", number, number)
@@ -84,7 +84,7 @@ def palette_entries(artifact: Artifact) -> list[dict]:
             for key in ("name", "learned", "now"):
                 validation.entry(one, key, str)
         if sorted(validation.integer(one, "column", 0, len(entries)) for one in entries) != [*range(len(entries))]:
-            raise InvalidValue(f"its columns are not 0 to {len(entries) - 1}, each once")
+            raise InvalidValue(f"its columns must be 0 to {len(entries) - 1}, each exactly once")
         return entries
 
 
@@ -104,15 +104,15 @@ def columns_and_shares(artifact: Artifact, colors: int) -> tuple[list[int], list
 
 
 def kept_details(artifact: Artifact, changes: PaletteEdits) -> dict:
-    """Return what palette.json has besides colors and still holds after a palette change that keeps the weights."""
+    """Return what palette.json has besides colors that remains valid after a palette change that keeps the weights."""
     stored = artifact.json(PALETTE)
     kept = () if changes.scales or changes.biases else OF_WEIGHTS
-    with sound(artifact.path / PALETTE, "a sound palette"):
+    with sound(artifact.path / PALETTE, "a valid palette"):
         return {key: validation.number(stored, key) for key in kept if stored.get(key, "nan") != "nan"}  # of no pixel
 
 
 def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
-    """Changes counted as palette.json counts colors, as the module counts them."""
+    """Convert changes from palette.json's color numbers to the module's."""
     return PaletteEdits(
         {columns[index]: color for index, color in changes.colors.items()},
         {columns[index]: scale for index, scale in changes.scales.items()},
@@ -121,7 +121,7 @@ def by_column(changes: PaletteEdits, columns: list[int]) -> PaletteEdits:
 
 
 def changes_of(config: PaletteConfig, palette: np.ndarray, shares: np.ndarray) -> PaletteEdits:
-    """The changes that a config asks for; palette [A, 3] and shares [A], counted as palette.json counts."""
+    """Return the changes that a config requests; palette [A, 3] and shares [A] are in palette.json's order."""
     requested = dict(map(color_of, config.palette))
     colors = {index: color for index, color in requested.items() if index is not None}
     if None in requested:
@@ -148,7 +148,7 @@ def _hex(color: np.ndarray) -> str:
 def color_name(color: np.ndarray) -> str:
     """Name an sRGB color [3] by lightness and hue, as 'dark blue'.
 
-    The hue is that of HSV: in CIELAB pure blue lies beyond what is called violet.
+    The hue is that of HSV, because in CIELAB pure blue has a hue beyond violet.
     """
     from skimage.color import rgb2hsv, rgb2lab
 
@@ -185,14 +185,14 @@ def save_edit_views(folder: Path, views: list[EditView], details: dict) -> None:
 
 
 def load_edit_views(artifact: Artifact) -> tuple[list[EditView], dict]:
-    """The views and what dataset.json says; ArtifactDamaged where the two files do not belong together."""
+    """Return the views and the contents of dataset.json; ArtifactDamaged if the two files do not match."""
     artifact.check_sizes()
     arrays, _ = artifact.tensors(DATASET_NUMBERS)
     data = artifact.json(DATASET)
-    with sound(artifact.path, "a sound edit dataset"):
+    with sound(artifact.path, "a valid edit dataset"):
         views = [_view(item, arrays) for item in validation.entry(data, "views", list)]
         if not views or len({one.view for one in views}) < len(views):
-            raise InvalidValue("there are no views, or one is repeated")
+            raise InvalidValue("it has no views or repeats one")
         return views, data
 
 
@@ -200,7 +200,7 @@ def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
     view = validation.integer(item, "view", 0, 10**9)
     width, height = (validation.integer(item, side, 1, LARGEST_SIDE) for side in ("width", "height"))
     if width * height > LARGEST_PICTURE:
-        raise InvalidValue(f"view {view} has {width}x{height} pixels; at most {LARGEST_PICTURE} can be")
+        raise InvalidValue(f"view {view} has {width}x{height} pixels; at most {LARGEST_PICTURE} are supported")
     count = validation.integer(item, "pixels", 1, width * height)
     pixels = validation.array(arrays, f"{view}.pixels", np.int64, (count,))
     check_pixels(pixels, f"{view}.pixels", width, height)
@@ -209,5 +209,5 @@ def _view(item: dict, arrays: dict[str, np.ndarray]) -> EditView:
     shapes = {name: (count, WIDE[name]) if name in WIDE else (count,) for name in ARRAYS[1:]}
     own = {name: validation.array(arrays, f"{view}.{name}", np.float32, shape) for name, shape in shapes.items()}
     if not (np.abs(np.linalg.norm(own["directions"].astype(np.float64), axis=1) - 1) < 1e-3).all():
-        raise InvalidValue(f"the array {view}.directions holds a vector that is not of length 1")
+        raise InvalidValue(f"the array {view}.directions contains a vector whose length is not 1")
     return EditView(view, width, height, pixels, **own)

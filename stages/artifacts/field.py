@@ -24,24 +24,24 @@ def save_field(folder: Path, field: RadianceField, background: str) -> None:
 
 
 def load_field(artifact: Artifact) -> tuple[RadianceField, str]:
-    """The field and its background; ArtifactDamaged where the two files do not make one."""
+    """Return the field and its background; ArtifactDamaged if the two files are not a valid field."""
     artifact.check_sizes()
     arrays, _ = artifact.tensors(NUMBERS)
     data = artifact.json(DESCRIPTION)
-    with sound(artifact.path, "a sound field"):
+    with sound(artifact.path, "a valid field"):
         return RadianceField.restore(data, arrays), validation.one_of(data, "background", BACKGROUNDS)
 
 
 def save_deformation(folder: Path, deformation: Deformation) -> None:
-    """The network behind a field's displacement grid, for whoever moves it further."""
+    """Save the network behind a field's displacement grid, for further training."""
     save_tensors(folder / DEFORMATION, {"values": deformation.values}, {"kind": json.dumps(deformation.describe())})
 
 
 def load_deformation(artifact: Artifact) -> Deformation | None:
-    """The network behind a field's displacement grid; None for a field without one."""
+    """Return the network behind a field's displacement grid; None for a field without one."""
     if not artifact.has(DEFORMATION):
         return None
     arrays, metadata = artifact.tensors(DEFORMATION)
-    with sound(artifact.path / DEFORMATION, "a sound deformation"):
+    with sound(artifact.path / DEFORMATION, "a valid deformation"):
         values = validation.array(arrays, "values", np.float32, (None,), validation.LEARNED)
         return Deformation.restore(json.loads(validation.entry(metadata, "kind", str)), values.copy())

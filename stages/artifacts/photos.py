@@ -20,11 +20,11 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.rendering.view import render_view
 from stylerf.training.common.ray_dataset import HIDDEN, STRETCH, Pixels, RayDataset
 
-# Memory of training besides its photos, as measured: a field of 256^3, its moments and two copies of it; and for each
+# Measured memory of training besides its photos: a field of 256^3, its moments and two copies of it; and for each
 # thread a buffer of its gradients.
 WORKING_BYTES = 1.2e9
 THREAD_BYTES = 4 * 8.3e6
-MIN_BYTES = 64e6  # of photos that may be in memory, however little of it is left
+MIN_BYTES = 64e6  # of photos that may always be in memory, however little is left
 
 
 def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) -> RayDataset:
@@ -42,8 +42,8 @@ def bank_of(scene: SceneData, views: list[int], folder: Path, context: Context) 
             pixels.values[at : at + len(photo)] = photo
         return RayDataset(cameras, pixels)
     context.progress.say(
-        f"{len(views)} photos take {in_words(size)}, more than the {in_words(left)} of memory left beside training: "
-        "they are read from a file as it runs"
+        f"{len(views)} photos need {in_words(size)}, more than the {in_words(left)} of memory that training leaves "
+        "free: reading them from a temporary file"
     )
     return RayDataset(cameras, _on_disk(scene, views, channels, size, left, folder))
 
@@ -62,7 +62,7 @@ def _photos(scene: SceneData, views: list[int], channels: int) -> Iterator[tuple
 def _on_disk(scene: SceneData, views: list[int], channels: int, size: int, most: float, folder: Path) -> Pixels:
     """Map the photos from an unnamed file in `folder`, which the system deletes when the process ends.
 
-    most: bytes of it that may be in this process's memory; the system's own cache of it is reclaimed on demand.
+    most: bytes of it that may be in this process's memory; the system reclaims its own cache on demand.
     """
     with writing(folder), tempfile.TemporaryFile(dir=folder, prefix=".photos.", suffix=TEMPORARY_SUFFIX) as file:
         if hasattr(os, "posix_fallocate"):  # reports a full disk here; on macOS writing does
@@ -113,7 +113,7 @@ def level_of(background: str) -> float:
 
 
 def load_pictures(artifact: Artifact, of: Artifact, threads: int) -> SceneData:
-    """The scene as an edit of field `of` sees it: the looks of a stylized or recolored one are in no photo."""
+    """Return the scene as an edit of field `of` sees it: the look of a stylized or recolored field is in no photo."""
     scene = load_scene(artifact, of)
     if shows_its_pictures(of):
         return scene

@@ -17,7 +17,7 @@ MOST_CAMERAS = 100_000  # more than an hour of film
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """Cameras in scene units, in the order of the frames, and what to say of how they were read, a line each."""
+    """Cameras in scene units, in frame order, and remarks for the user on how they were read, one line each."""
 
     cameras: list[Camera]
     remarks: tuple[str, ...] = ()
@@ -38,7 +38,7 @@ def in_scene(pose: np.ndarray, scene: SceneData, where: str, up: str = "") -> np
 
 
 def checked(pose: np.ndarray, where: str) -> np.ndarray:
-    """Return a pose with an exact rotation; BadInput if it has none."""
+    """Return a pose with an exact rotation; BadInput if its matrix is not a rotation."""
     try:
         return checked_pose(pose)
     except InvalidValue as error:
@@ -46,6 +46,6 @@ def checked(pose: np.ndarray, where: str) -> np.ndarray:
 
 
 def check_count(count: int, where: str) -> None:
-    """Refuse more cameras than a file can sensibly hold."""
+    """Reject more cameras than a file can sensibly contain."""
     if count > MOST_CAMERAS:
         raise BadInput(f"{where} lists {count:,} cameras; at most {MOST_CAMERAS:,} can be read")

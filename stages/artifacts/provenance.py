@@ -9,7 +9,7 @@ from schemas.work_folder import Artifact, WorkFolder, sources_of
 
 @dataclass(frozen=True)
 class Made:
-    """One artifact upstream. The numbers are None where it is gone or cannot be read; `remark` then says so."""
+    """One upstream artifact. Its numbers are None if it is missing or cannot be read; `remark` then says so."""
 
     kind: str
     name: str
@@ -24,12 +24,12 @@ class Made:
 
 
 def fields_behind(field: Artifact) -> list[Artifact]:
-    """The fields that a field was made from, the nearest first; those that are gone are passed over."""
+    """Return the fields that a field was made from, nearest first; missing ones are skipped."""
     return sources_of(field, ["field"])
 
 
 def field_before(field: Artifact) -> Artifact | None:
-    """The field that a local edit began with: the nearest behind it that shows the scene by itself; None without one.
+    """Return the field that a local edit began with: the nearest source that shows the scene itself; None without one.
 
     A decomposition into a palette only prepares; changes of a palette are all changes of what it was learned of.
     """
@@ -38,21 +38,20 @@ def field_before(field: Artifact) -> Artifact | None:
 
 
 def field_unstylized(field: Artifact) -> Artifact | None:
-    """The nearest field behind a stylized one that is neither stylized nor bent for it; None without one."""
+    """Return the nearest source of a stylized field that is neither stylized nor deformed for it; None without one."""
     behind = (one for one in fields_behind(field) if one.manifest.stage != "deform_init")
     return next((one for one in behind if not is_stylized(one)), None)
 
 
 def shows_its_pictures(field: Artifact) -> bool:
-    """Return whether a field looks like the pictures it was trained on last; a stylized, recolored or blended one
-    does not."""
+    """Return whether a field looks like the pictures it was trained on, unlike a stylized, recolored or blended one."""
     return field.manifest.stage not in ("stylize", "recolor", "blend")
 
 
 def original_scene(scene: Artifact) -> Artifact:
-    """The scene of photos that a scene of edited ones (stage `distill`) was made from, through all artifacts between.
+    """Return the scene of photos that a scene of edited photos (stage `distill`) was made from, directly or indirectly.
 
-    The scene itself where it is no such scene; ArtifactStale where an artifact on the way is gone.
+    Other scenes are returned as they are; ArtifactStale if an artifact in between is missing.
     """
     waiting, seen = [scene], set()
     while waiting:
@@ -64,11 +63,13 @@ def original_scene(scene: Artifact) -> Artifact:
             if (ref.kind, ref.name) not in seen:
                 seen.add((ref.kind, ref.name))
                 waiting.append(work.get(ref.kind, ref.name))
-    raise ArtifactStale(f"scene {scene.name} holds edited pictures and names no scene of photos they were made from")
+    raise ArtifactStale(
+        f"scene {scene.name} contains edited pictures but does not record the scene they were made from"
+    )
 
 
 def edit_behind(field: Artifact) -> Artifact | None:
-    """The palette edit that a field learned last, found through its scene of edited pictures; None without one."""
+    """Return the palette edit that a field learned last, found through its scene of edited pictures, or None."""
     return next((one for one in [field, *sources_of(field, ["scene", "edit"])] if one.kind == "edit"), None)
 
 
@@ -82,12 +83,12 @@ def palette_behind(field: Artifact) -> Artifact | None:
 
 
 def is_stylized(field: Artifact) -> bool:
-    """Whether a field, or one that it was made from, came out of the stylize stage."""
+    """Return whether a field, or one that it was made from, is the output of the stylize stage."""
     return any(one.manifest.stage == "stylize" for one in [field, *fields_behind(field)])
 
 
 def upstream(artifacts: Iterable[Artifact]) -> list[Made]:
-    """These artifacts and all they were made from, sources first, each once."""
+    """Return these artifacts and everything they were made from, sources first, each once."""
     found: dict[tuple[str, str], Made] = {}
     seen: set[tuple[str, str]] = set()
     for artifact in artifacts:
@@ -107,7 +108,7 @@ def _visit(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], 
             continue
         try:
             source = work.get(ref.kind, ref.name)
-            changed = "" if source.digest == ref.digest else f"made again after {manifest.kind} {artifact.name}"
+            changed = "" if source.digest == ref.digest else f"rebuilt after {manifest.kind} {artifact.name}"
             _visit(source, changed, found, seen)
         except StylerfError as error:
             why = f"cannot be read: {error}"
@@ -127,7 +128,7 @@ def _visit(artifact: Artifact, remark: str, found: dict[tuple[str, str], Made], 
 
 
 def counted(value: object) -> int | None:
-    """Parameters as one number; a field may list them by part."""
+    """Return the number of parameters in total; a field may list them by part."""
     if isinstance(value, dict):
         parts = [counted(part) for part in value.values()]
         return sum(part for part in parts if part) or None

@@ -1,4 +1,4 @@
-"""Reads and writes region artifacts; regions that a field's frames show as masks, and their EXR channels."""
+"""Reads and writes region artifacts; finds the regions shown as masks in a field's frames, and their EXR channels."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -29,9 +29,10 @@ def save_region(folder: Path, region: Region, space: SpaceWarp, details: dict) -
 
 
 def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherwise: str = "") -> Region:
-    """The region's cells; BadInput where they divide the space of another field than `of`, which holds `field`.
+    """Return the region's cells; BadInput if they divide the space of a different field than `of`, which contains
+    `field`.
 
-    otherwise: what else could be done, for the message.
+    otherwise: an alternative to suggest in the message.
     """
     found, space = load_region(region)
     if space != field.space:
@@ -43,11 +44,11 @@ def region_of_field(region: Artifact, of: Artifact, field: RadianceField, otherw
 
 
 def load_region(artifact: Artifact) -> tuple[Region, SpaceWarp]:
-    """The region and the space whose cube it divides; ArtifactDamaged where the two files do not make one."""
+    """Return the region and the space whose cube it divides; ArtifactDamaged if the two files are not valid."""
     artifact.check_sizes()
     arrays, _ = artifact.tensors(NUMBERS)
     data = artifact.json(DESCRIPTION)
-    with sound(artifact.path, "a sound region"):
+    with sound(artifact.path, "a valid region"):
         cells = validation.integer(data, "cells", 1, 1024)
         region = Region(*(validation.bits(arrays, name, cells) for name in ("edit", "grow")))
         return region, SpaceWarp.restore(validation.entry(data, "space"))
@@ -59,14 +60,14 @@ CHANNEL = "mask."
 
 @dataclass(frozen=True, eq=False)
 class Marked:
-    """The edited cells E [s, s, s] of a region artifact, and that artifact's digest."""
+    """Return the edited cells E [s, s, s] of a region artifact, and the artifact's digest."""
 
     cells: np.ndarray
     digest: str
 
 
 def regions_fitting(work: WorkFolder, field: Artifact) -> tuple[dict[str, Artifact], list[str]]:
-    """The regions of a work folder that divide the field's own space, by role; the names of all others."""
+    """Return the regions of a work folder that divide the field's own space, by role, and the names of all others."""
     regions = work.artifacts("region")
     if not regions:
         return {}, []
@@ -76,7 +77,7 @@ def regions_fitting(work: WorkFolder, field: Artifact) -> tuple[dict[str, Artifa
 
 
 def regions_among(inputs: Mapping[str, Artifact], space: SpaceWarp) -> dict[str, Marked]:
-    """The regions among a stage's inputs, by name; BadInput where one divides another space than the field's."""
+    """Return the regions among a stage's inputs, by name; BadInput if one divides another space than the field's."""
     found = {}
     for artifact in (one for role, one in inputs.items() if role.startswith(ROLE)):
         region, own = load_region(artifact)
@@ -90,10 +91,11 @@ def regions_among(inputs: Mapping[str, Artifact], space: SpaceWarp) -> dict[str,
 
 
 def channels_of(names: Iterable[str]) -> dict[str, str]:
-    """What follows `mask.` in the channel of each region: its name in letters, digits and `_`, not begun by a digit.
+    """Return what follows `mask.` in each region's channel: its name in letters, digits and `_`, not starting with a
+    digit.
 
-    A dot in it would be a layer below the layer, and `+` and `-` are sums in a compositor's expressions. Regions that
-    would share a channel are numbered; one whose name is a channel's already keeps it.
+    A dot would create a sublayer, and compositors read `+` and `-` as arithmetic. Regions that would share a channel
+    are numbered; a region whose name is already a valid channel name keeps it.
     """
     channels: dict[str, str] = {}
     written = {name: re.sub(r"^(?=\d)|[^A-Za-z0-9_]", "_", name) for name in names}
@@ -107,5 +109,5 @@ def channels_of(names: Iterable[str]) -> dict[str, str]:
 
 def _space(artifact: Artifact, description: str) -> SpaceWarp:
     data = artifact.json(description)
-    with sound(artifact.path / description, "a sound space"):
+    with sound(artifact.path / description, "a valid space"):
         return SpaceWarp.restore(validation.entry(data, "space"))

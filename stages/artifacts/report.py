@@ -15,7 +15,7 @@ def read_report(artifact: Artifact) -> dict:
     """
     artifact.check_sizes()
     data = artifact.json(DESCRIPTION)
-    with sound(artifact.path, "a sound report"):
+    with sound(artifact.path, "a valid report"):
         report = {"metrics": [], "warnings": [], "not_measured": [], "edit": None} | validation.table(data, DESCRIPTION)
         for metric in validation.entry(report, "metrics", list):
             _check_metric(metric)

@@ -1,4 +1,4 @@
-"""Reads a scene artifact into cameras and images for the mathematics, and finds the space it is fitted in."""
+"""Reads a scene artifact into cameras and images, and finds the space it is fitted in."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -24,8 +24,8 @@ from stylerf.srgb import exposed
 
 EXPOSURE_STOPS = "exposure_stops"  # among the figures of a fit: by view
 MOST_STOPS = 64
-EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos carry an edit: which pixels, and their depths
-EARLIER = "earlier_"  # before the names of what edits before that one left there
+EDIT_TARGETS = "edit/targets.safetensors"  # of a scene whose photos show an edit: which pixels, and their depths
+EARLIER = "earlier_"  # prefix of the names of what earlier edits left there
 _TARGET = re.compile(rf"([0-9]{{1,9}})\.({EARLIER})?(pixels|depth)")
 
 
@@ -40,9 +40,9 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class SceneData:
-    """A scene ready for use; images and depths are read on demand. stops: by which views' photos are darkened.
+    """A scene ready for use; images and depths are read on demand. stops: how much to darken each view's photo.
 
-    retaken: the image of a view, by its index, where that is not its photo.
+    retaken: the image of a view, by its index, if that is not its photo.
     """
 
     artifact: Artifact
@@ -85,7 +85,7 @@ class SceneData:
     def images(self, index: int) -> np.ndarray:
         """Image of view `index`, [height, width, 3 or 4] float32, sRGB 0..1, straight alpha; gray becomes RGB.
 
-        ArtifactDamaged when it is missing, damaged or not of its camera's size.
+        ArtifactDamaged if it is missing, damaged or does not have its camera's size.
         """
         if self.retaken:
             return self.retaken(index)
@@ -96,33 +96,33 @@ class SceneData:
             raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
         if pixels.shape[:2] != (view.height, view.width):
             raise ArtifactDamaged(
-                f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]} where its camera says "
+                f"{self.folder / view.image} is {pixels.shape[1]}x{pixels.shape[0]}, but its camera expects "
                 f"{view.width}x{view.height}; run `stylerf import` again"
             )
         pixels = pixels if pixels.shape[2] >= 3 else np.repeat(pixels, 3, axis=2)
         return exposed(pixels, -self.stops[view.name]) if view.name in self.stops else pixels
 
     def as_stored(self, index: int) -> bool:
-        """Whether images(index) is what its file holds."""
+        """Whether images(index) is the unchanged content of its file."""
         return self.retaken is None and self.views[index].name not in self.stops
 
     @property
     def exposure_figures(self) -> dict[str, dict[str, float]]:
-        """For the manifest of what is taught these photos: how they were taken, whatever becomes of the fit.
+        """For the manifest of what is trained on these photos: how they were taken, even if the fit is deleted.
 
-        Photos that carry an edit are at one exposure themselves, and say nothing of the others.
+        Photos that show an edit all have one exposure and do not reveal the original ones.
         """
         return {} if self.artifact.has(EDIT_TARGETS) else {EXPOSURE_STOPS: dict(self.stops)}
 
     def channels(self, index: int) -> int:
-        """3 or 4: those that images(index) has, by the file's header."""
+        """3 or 4: the channels of images(index), according to the file's header."""
         try:
             return max(3, image_channels(self.artifact.file(self.views[index].image)))
         except BadInput as error:
             raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
 
     def truth_depth(self, index: int) -> np.ndarray | None:
-        """Known planar depth of view `index`, [height, width] float32 scene units; None where there is no truth."""
+        """Known planar depth of view `index`, [height, width] float32 scene units; None if there is none."""
         relative = self.scene.truth.depth_file(index)
         if relative is None or not self.artifact.has(relative):
             return None
@@ -132,14 +132,16 @@ class SceneData:
             raise ArtifactDamaged(f"{error}; run `stylerf import` again") from error
         view = self.views[index]
         if depth.shape != (view.height, view.width):
-            raise ArtifactDamaged(f"{self.folder / relative} is not of its camera's size; run `stylerf import` again")
+            raise ArtifactDamaged(
+                f"{self.folder / relative} does not match its camera's size; run `stylerf import` again"
+            )
         return depth
 
 
 def load_scene(artifact: Artifact, seen_by: Artifact | None = None) -> SceneData:
-    """The scene of an artifact, checked: ArtifactDamaged when a file is missing or a camera cannot be.
+    """Load and check the scene of an artifact; ArtifactDamaged if a file is missing or a camera is impossible.
 
-    seen_by: what was made of a field; photos are then brought to the one exposure that its fit found for them.
+    seen_by: an artifact made from a field; photos are then brought to the single exposure that its fit found for them.
     """
     artifact.check_sizes()
     scene = read_scene(artifact.file(SCENE_FILE).parent)
@@ -149,16 +151,16 @@ def load_scene(artifact: Artifact, seen_by: Artifact | None = None) -> SceneData
         cameras = [_camera(view) for view in scene.views]
     except InvalidValue as error:
         raise ArtifactDamaged(f"{artifact.path}: {error}; run `stylerf import` again") from error
-    # Photos that carry an edit were brought to it when that was distilled.
+    # Photos that show an edit were brought to it when the edit was distilled.
     stops = _stops(seen_by) if seen_by and not artifact.has(EDIT_TARGETS) else {}
     points = _points(artifact.file(POINTS_FILE)) if artifact.has(POINTS_FILE) else None
     return SceneData(artifact, scene, cameras, points, stops)
 
 
 def view_index(scene: SceneData, name: str, option: str) -> int:
-    """Index of a view by its name, or by its number in the scene written #12; BadInput naming some of those there are.
+    """Return the index of a view by name, or by its number in the scene written as #12; BadInput suggests some names.
 
-    A bare number is a name: that of a photo which is missing must not mean the photo at that place.
+    A bare number is a name: the name of a missing photo must not select the photo with that index.
     """
     names = [view.name for view in scene.views]
     if name in names:
@@ -170,19 +172,19 @@ def view_index(scene: SceneData, name: str, option: str) -> int:
     at = ordered.index(name)
     some = [*ordered[max(0, at - 3) : at], *ordered[at + 1 : at + 4]] if len(names) > 6 else names
     known = f"{'the nearest of ' if len(names) > 6 else ''}the scene's {len(names)} views are {', '.join(some)}"
-    raise BadInput(f"{option}: there is no view {name!r}; {known}; `stylerf show WORK/scene/main` lists all")
+    raise BadInput(f"{option}: view {name!r} not found; {known}; `stylerf show WORK/scene/main` lists all")
 
 
 def spread(views: list[int], count: int) -> list[int]:
-    """`count` of the views, evenly: those in the middle of as many equal parts."""
+    """Return `count` of the views, evenly spread: the middle one of each of `count` equal parts."""
     return [views[int((k + 0.5) * len(views) / count)] for k in range(count)]
 
 
 def _stops(seen_by: Artifact) -> dict[str, float]:
-    """By which the photos of views are overexposed, by the fit that `seen_by` goes back to; empty: all alike."""
+    """Return by how many stops each view is overexposed, from the fit behind `seen_by`; empty if all are alike."""
     for made in [seen_by, *sources_of(seen_by, ("field",))]:
         if (stops := made.manifest.figures.get(EXPOSURE_STOPS)) is not None:
-            with sound(made.path / MANIFEST, f"sound {EXPOSURE_STOPS}"):
+            with sound(made.path / MANIFEST, f"valid {EXPOSURE_STOPS}"):
                 return {name: validation.number(stops, name, -MOST_STOPS, MOST_STOPS) for name in stops}
     return {}
 
@@ -194,7 +196,7 @@ def _camera(view: View) -> Camera:
 
 def _points(path: Path) -> Points:
     tensors, _ = load_tensors(path)
-    with sound(path, "a sound list of points"):
+    with sound(path, "a valid list of points"):
         xyz = validation.array(tensors, "xyz", np.float32, (None, 3))
         rgb = validation.array(tensors, "rgb", np.uint8, (len(xyz), 3))
         return Points(xyz, rgb, validation.array(tensors, "error", np.float32, (len(xyz),), most=None))
@@ -209,17 +211,17 @@ class EditTarget:
 
 
 def edit_targets(scene: SceneData) -> dict[tuple[int, str], EditTarget]:
-    """By index of the view, and "" for the last edit or EARLIER, what EDIT_TARGETS holds; ArtifactDamaged where it
-    holds anything else. Empty where the scene carries no edit."""
+    """Return the contents of EDIT_TARGETS by view index and "" for the last edit or EARLIER; ArtifactDamaged if they
+    are invalid. Empty if the scene has no edit."""
     if not scene.artifact.has(EDIT_TARGETS):
         return {}
     path = scene.artifact.file(EDIT_TARGETS)
     arrays, _ = load_tensors(path)
     found = {}
-    with sound(path, "sound targets of an edit"):
+    with sound(path, "valid edit targets"):
         for name in arrays:
             if not (match := _TARGET.fullmatch(name)) or int(match[1]) >= len(scene.cameras):
-                raise InvalidValue(f"the array {name} is of no view of the scene")
+                raise InvalidValue(f"the array {name} belongs to no view of the scene")
             index, part, what = int(match[1]), match[2] or "", match[3]
             if what == "pixels":
                 pixels = validation.array(arrays, name, np.int64, (None,))
@@ -232,7 +234,7 @@ def edit_targets(scene: SceneData) -> dict[tuple[int, str], EditTarget]:
 
 KIND_OF_LAYOUT = {"object": "box", "forward": "frustum", "unbounded": "contraction"}
 _MARGIN = 1.02
-# Half a side of a contraction's uncontracted box, in distances of the cameras from what they look at. What is between
+# Half a side of a contraction's uncontracted box, in units of the cameras' distance from their subject. What is between
 # the two is seldom the subject, and half of every axis goes to the box (decision 0042).
 FOCUS = 0.6
 
@@ -240,25 +242,25 @@ FOCUS = 0.6
 def space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
     """Return the warp and the reason as text. wanted: a kind, or auto for the one of the scene's layout.
 
-    BadInput where the scene's bounds and cameras, sound one by one, span no space.
+    BadInput if the scene's bounds and cameras, although valid individually, enclose no volume.
     """
     try:
         return _space_of(scene, wanted)
     except InvalidValue as error:
         raise BadInput(
-            f"{scene.folder}: its bounds and cameras span no space to fit in ({error}); import it again"
+            f"{scene.folder}: its bounds and cameras enclose no volume to fit in ({error}); import it again"
         ) from error
 
 
 def _space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
     bounds = scene.bounds
     kind = KIND_OF_LAYOUT[scene.layout] if wanted == "auto" else wanted
-    reason = f"{scene.layout} layout ({scene.scene.layout_reason})" if wanted == "auto" else "asked for"
+    reason = f"{scene.layout} layout ({scene.scene.layout_reason})" if wanted == "auto" else "as requested"
     if kind == "box":
         return SpaceWarp.box(*bounds.aabb), reason
     if kind == "contraction":
         low, high = np.asarray(bounds.aabb)
-        # An unbounded scene's box reaches as far as its cameras; others know what is in theirs.
+        # An unbounded scene's box reaches as far as its cameras; other scenes know the contents of theirs.
         middle, half = (low + high) / 2, (FOCUS if scene.layout == "unbounded" else 1.0) * (high - low) / 2
         far = max(bounds.far, 1e3)
         return SpaceWarp.box(middle - half, middle + half, near=bounds.near, far=far, kind="contraction"), reason
@@ -269,7 +271,7 @@ def _space_of(scene: SceneData, wanted: str) -> tuple[SpaceWarp, str]:
 
 
 def _frustum_sides(scene: SceneData, near: float) -> tuple[float, float]:
-    """Largest |x/z| and |y/z| that any view's corner sees beyond `near`, in the frame of the average camera."""
+    """Return the largest |x/z| and |y/z| that any view's corner sees beyond `near`, in the average camera's frame."""
     slopes = []
     for camera in scene.cameras:
         corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]], float)

@@ -1,4 +1,4 @@
-"""Shards of a job: frames whose recipes differ only in their range, merged without rendering them again."""
+"""Shards of a render job: frames whose recipes differ only in their range, merged without rendering them again."""
 
 import os
 import shutil
@@ -47,7 +47,7 @@ def _shards(partial: PartialArtifact) -> Iterator[Artifact]:
 
 
 def _pictured(recipe: Recipe) -> str:
-    # A file of cameras is identified by its content.
+    # A camera file is identified by its content.
     idle = (*NOT_PICTURED, "path") if recipe.config.get("path_digest") else NOT_PICTURED
     config = {name: value for name, value in recipe.config.items() if name not in idle}
     return Recipe(recipe.stage, recipe.revision, config, recipe.inputs, recipe.seed).digest

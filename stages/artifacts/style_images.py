@@ -1,4 +1,4 @@
-"""Reads style images and references (Ref-NPR): stylized views, from files or made of a photo at once."""
+"""Reads style images and references (Ref-NPR): stylized views, from files or stylized from a photo on the fly."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -43,10 +43,10 @@ def read_shown(path: Path, crop: tuple[int, ...] = ()) -> np.ndarray:
 
     Args:
         path: Any image.
-        crop: x, y, size: read this square alone.
+        crop: x, y, size: read only this square.
 
     Raises:
-        BadInput: No image, one that is transparent everywhere, or a crop that does not fit.
+        BadInput: It is not an image, is fully transparent, or the crop does not fit.
     """
     pixels = read_srgb(path).pixels
     try:
@@ -77,7 +77,7 @@ def read_style_image(
         [3, h, w] float32 sRGB 0..1; [4, h, w], with an alpha of 0 or 1, if parts are transparent.
 
     Raises:
-        BadInput: No image, a transparent one, one of less than 16 pixels a side, or a crop that does not fit.
+        BadInput: It is not an image, is fully transparent, has fewer than 16 pixels per side, or the crop does not fit.
     """
     pixels = read_shown(path, crop)
     _check_size(path, pixels)
@@ -90,8 +90,8 @@ def read_style_image(
 def _check_size(path: Path, pixels: np.ndarray) -> None:
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
         raise BadInput(
-            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image of at least {SMALLEST_SIDE} pixels a side "
-            "is needed"
+            f"{path} is {pixels.shape[1]}x{pixels.shape[0]}; a style image needs at least {SMALLEST_SIDE} pixels per "
+            "side"
         )
 
 
@@ -100,31 +100,31 @@ def _tensor(path: Path, pixels: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).contiguous()
 
 
-LIKE = 0.01  # most that a picture's aspect ratio may differ from its view's: a pixel of a small picture
+LIKE = 0.01  # the most that a picture's aspect ratio may differ from its view's: one pixel of a small picture
 
 
 def digest_of(references: Sequence[str]) -> str:
-    """Of the views and files of VIEW=FILE texts, in their order; BadInput where one is missing or no picture."""
+    """Return the digest of the views and files of VIEW=FILE texts; BadInput if one is missing or not a picture."""
     total = hashlib.sha256()
     for text in references:
         view, path = file_of(text)
         if not path.is_file():
-            raise BadInput(f"--reference {text}: there is no such image")
+            raise BadInput(f"--reference {text}: image not found")
         _tensor(path, read_colors(path))
         total.update(f"{view}={file_sha256(path)}\n".encode())
     return total.hexdigest() if references else ""
 
 
 def training_view(scene: SceneData, name: str, flag: str) -> int:
-    """Place among the training views of a view by its name, or by its number in the scene."""
+    """Return a view's position among the training views, by its name or by its number in the scene."""
     index, train = view_index(scene, name, flag), scene.splits["train"]
     if index not in train:
-        raise BadInput(f"{flag}: view {name} is held out for evaluation; give a training view")
+        raise BadInput(f"{flag}: view {name} is held out for evaluation; choose a training view")
     return train.index(index)
 
 
 def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray | None]:
-    """By place among the training views: its stylized picture, [h, w, 3] sRGB 0..1, of the view's size."""
+    """Return the stylized pictures, [h, w, 3] sRGB 0..1 at the view's size, by position among the training views."""
     found: dict[int, np.ndarray | None] = {}
     for text in references:
         name, file = file_of(text)
@@ -134,11 +134,11 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
         height, width = picture.shape[1:]
         if abs(width * camera.height / (height * camera.width) - 1) > LIKE:
             raise BadInput(
-                f"{file} is {width}x{height} where view {name} is {camera.width}x{camera.height}; a reference shows "
-                "the same picture: give one of the same proportions"
+                f"{file} is {width}x{height}, but view {name} is {camera.width}x{camera.height}; give a reference of "
+                "the same aspect ratio"
             )
         if place in found:
-            raise BadInput(f"--reference {text}: view {name} has a reference already")
+            raise BadInput(f"--reference {text}: view {name} already has a reference")
         found[place] = resized(picture, camera.height, camera.width).permute(1, 2, 0).contiguous().numpy()
     return found
 
@@ -154,8 +154,8 @@ def chosen_view(
 ) -> int:
     """Place among the training views of the one to make a reference: --reference-view, or the best seen by all.
 
-    cameras: those of the training views first; others have no photo, and cannot be it.
-    region: what is to be seen, rather than the scene.
+    cameras: those of the training views first; others have no photo and cannot be chosen.
+    region: what should be visible, instead of the whole scene.
     """
     if config.reference_view:
         return training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
@@ -166,7 +166,7 @@ def chosen_view(
 
 
 def check_references(scene: SceneData, config: RefNprConfig) -> None:
-    """BadInput or UsageError for whatever of the options cannot be, before any long work."""
+    """Raise BadInput or UsageError for invalid options before any long computation."""
     read_references(scene, config.reference)
     if config.reference_view:
         training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
@@ -178,7 +178,7 @@ def check_references(scene: SceneData, config: RefNprConfig) -> None:
 def decoded_reference(
     photo: np.ndarray, style_image: torch.Tensor, scale: float, stroke: float, device: str
 ) -> np.ndarray:
-    """A photo [h, w, 3] stylized at once by AdaIN at conv3_1; UsageError where its weights are not here.
+    """Stylize a photo [h, w, 3] in one pass by AdaIN at conv3_1; UsageError if its weights are missing.
 
     scale: of the style image, relative to the photo. stroke: size of its strokes, relative to that.
     """

@@ -24,11 +24,11 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
     """Read a file's only camera, or that of its render settings, at every time code of the file.
 
     Pictures have the resolution of the render settings; without any, the width of the scene's first view and the
-    aperture's aspect. Coordinates are the source's units, turned so that the file's axis is up.
+    aperture's aspect ratio. Coordinates are the source's, rotated so that the file's up axis is up.
 
     Raises:
         OutOfResources: usd-core is not installed.
-        BadInput: it is not a USD file, refers to other files, or has not one camera.
+        BadInput: it is not a USD file, refers to other files, or does not have exactly one camera.
     """
     try:
         from pxr import Sdf, Tf, Usd, UsdGeom
@@ -43,12 +43,12 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
         layer = Sdf.Layer.OpenAsAnonymous(str(path))
         if layer is None:
             raise BadInput(f"{where} is not a USD file")
-        # Whatever else such a file names would be opened too, from anywhere.
+        # Any other files that it names would be opened too, from anywhere.
         if others := layer.GetCompositionAssetDependencies():
             raise BadInput(f"{where} refers to other files ({printable(others[0])[:60]}); flatten it first: usdcat -f")
         if clips := _value_clips(layer):
             raise BadInput(
-                f"{where} takes values from other files (clips of {printable(clips)[:60]}); flatten it first"
+                f"{where} reads values from other files (clips of {printable(clips)[:60]}); flatten it first"
             )
         stage = Usd.Stage.Open(layer)
         prim, size = _camera_of(stage, where)
@@ -63,12 +63,14 @@ def read_usd(path: Path, scene: SceneData, where: str) -> CameraFile:
         raise BadInput(f"{where} is not a valid USD file ({printable(' '.join(reasons[0].split()))[:200]})") from error
     unit, remarks = UsdGeom.GetStageMetersPerUnit(stage), []
     if not math.isclose(unit, 1.0):
-        remarks.append(f"{path.name} has units of {unit:g} m; its coordinates are taken as those of the scene's source")
+        remarks.append(
+            f"{path.name} is in units of {unit:g} m; its coordinates are assumed to be those of the scene's source"
+        )
     return CameraFile(cameras, tuple(remarks))
 
 
 def _value_clips(layer: Any) -> str:
-    """Return the path of a prim with value clips, which are not composition arcs but open files too; "" without any."""
+    """Return the path of a prim with value clips, which open files without being composition arcs; "" without any."""
     from pxr import Sdf
 
     found: list[str] = []
@@ -120,7 +122,7 @@ def _number(attribute: Any, time: Any, where: str) -> float:
 
 
 def _times(stage: Any, prim: Any, where: str) -> list[Any]:
-    """Return whole time codes from the first to the last sample of the camera or what it hangs on; else the default."""
+    """Return whole time codes from the first to the last sample of the camera or its parents; else the default."""
     from pxr import Usd, UsdGeom
 
     samples: list[float] = []
@@ -137,7 +139,7 @@ def _times(stage: Any, prim: Any, where: str) -> list[Any]:
     if stage.HasAuthoredTimeCodeRange():
         first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(first) and math.isfinite(last) and last >= first):
-        raise BadInput(f"{where}: time codes from {first:g} to {last:g} are not a range of frames")
+        raise BadInput(f"{where}: time codes {first:g} to {last:g} are not a valid range of frames")
     check_count(int(min(last - first, 1e9)) + 1, where)
     return [Usd.TimeCode(first + index) for index in range(int(last - first) + 1)]
 
@@ -172,8 +174,8 @@ def _camera(
     matrix = np.array(UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time), float).T  # USD's acts on row vectors
     lengths = np.linalg.norm(matrix[:3, :3], axis=0)
     if not np.isfinite(matrix).all() or not lengths.min() > 0:
-        raise BadInput(f"{name}: its transform is not finite, or flat")
-    matrix[:3, :3] /= lengths  # a scale of what the camera hangs on does not change what it sees
+        raise BadInput(f"{name}: its transform is singular or not finite")
+    matrix[:3, :3] /= lengths  # a scale of its parents does not change what the camera sees
     pose = in_scene(from_opengl(matrix), scene, name, up)
     try:
         return Camera(

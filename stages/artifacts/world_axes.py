@@ -1,6 +1,6 @@
-"""The coordinates of exported files: source or scene units, as they are or turned so that y or z is up.
+"""The coordinates of exported files: source or scene units, as they are or rotated so that y or z is up.
 
-Turns are exact: signed permutations of the axes.
+Rotations are exact: signed permutations of the axes.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ def file_from_scene(scene: SceneData, units: str, up: str = "") -> np.ndarray:
 
     Args:
         units: source or scene.
-        up: axis that is up in the file, y or z; "": not turned.
+        up: axis that is up in the file, y or z; "": not rotated.
     """
     matrix = np.linalg.inv(np.array(scene.scene.scene_from_source)) if units == "source" else np.eye(4)
     if not up:

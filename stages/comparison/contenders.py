@@ -1,4 +1,4 @@
-"""The stylizations that people compare: what to call them, and what they show."""
+"""The stylizations that people compare: their labels and pictures."""
 
 import shlex
 from collections import defaultdict
@@ -20,7 +20,7 @@ from stages.evaluation.perceptual_metrics import style_file
 from stages.evaluation.test_views import FrameViews, SceneViews
 
 PATH = "test"  # the held-out views, which no method saw
-# What does not distinguish methods or settings: the group has the style image, and the rest leaves no trace.
+# Options that do not distinguish methods or settings: the group has the style image; the rest has no visible effect.
 PASSED = frozenset(
     ("style", "style_digest", "features_digest", "reference", "references_digest", "checkpoint_every_seconds")
 )
@@ -31,7 +31,7 @@ class Contender:
     """A stylized field with its frames of the held-out views.
 
     Attributes:
-        label: method and those options in which contenders of this method differ; the same in every scene.
+        label: method and the options in which contenders of this method differ; the same in every scene.
         views: indices of the scene's views that it shows.
     """
 
@@ -44,7 +44,7 @@ class Contender:
     views: tuple[int, ...]
 
     def picture(self, view: int) -> np.ndarray:
-        """Its render of a view of the scene, [h, w, 3] sRGB over the scene's background."""
+        """Return its render of a view of the scene, [h, w, 3] sRGB over the scene's background."""
         index = self.frames.index_of(view)
         if index is None:
             raise ArtifactStale(f"frames {self.frames.artifact.name} do not show view {view}; render them again")
@@ -66,12 +66,12 @@ def contenders_of(
         named: Fields to take, by name or title; empty for all.
 
     Raises:
-        UsageError: A name is that of no stylization.
+        UsageError: A name is not that of a stylization.
     """
     runs = [run for run in runs if run.family == STYLIZATIONS]
     known = {name for run in runs for name in (run.name, run.title)}
     if unknown := [name for name in named if name not in known]:
-        raise UsageError(f"--of {unknown[0]}: no such stylization; expected one of {listed(sorted(known))}")
+        raise UsageError(f"--of {unknown[0]}: unknown stylization; choose from {listed(sorted(known))}")
     found, gaps = [], []
     for run in runs:
         if named and not {run.name, run.title} & {*named}:
@@ -88,7 +88,7 @@ def contenders_of(
 def labels_of(runs: Sequence[tuple[Run, Mapping]]) -> list[str]:
     """Name runs by method and by the options in which runs of this method differ.
 
-    Two of one group that would share a name get those of their fields too.
+    Contenders of one group that would share a label also get the names of their fields.
     """
     values: dict[tuple[str, str], set[str]] = defaultdict(set)
     keys = {run.method: sorted({key for one, config in runs if one.method == run.method for key in config} - PASSED)
@@ -99,7 +99,7 @@ def labels_of(runs: Sequence[tuple[Run, Mapping]]) -> list[str]:
     labels = []
     for run, config in runs:
         varying = [key for key in keys[run.method] if len(values[run.method, key]) > 1 and key != "method"]
-        # An option that a run lacks, or that is empty, is left to the others' labels.
+        # An option that a run lacks, or that is empty, appears only in the labels of others.
         given = [f"{key.replace('_', '-')} {config[key]}" for key in varying if config.get(key) not in (None, "")]
         labels.append(", ".join([run.method, *given]))
     places = [(run.group, label) for (run, _), label in zip(runs, labels, strict=True)]
@@ -114,13 +114,13 @@ def _contender(run: Run, work: WorkFolder, field: Artifact) -> Contender:
     frames = _test_frames(work, field, scene)
     style = style_file(EvaluateConfig(), field)
     if style is None:
-        raise ArtifactStale("its style image is gone")
+        raise ArtifactStale("its style image no longer exists")
     views = sorted({view.scene_view for view in frames.frames.views if view.scene_view is not None})
     return Contender(run, "", field, frames, scene, style, tuple(view for view in views if view < len(scene)))
 
 
 def _test_frames(work: WorkFolder, field: Artifact, scene: SceneViews) -> FrameViews:
-    """The newest whole, full-size frames of exactly this field from the held-out views; ArtifactStale without any."""
+    """Return the newest complete, full-size frames of exactly this field from the held-out views, or ArtifactStale."""
     found = []
     for one in work.artifacts("frames"):
         config = one.manifest.config
@@ -133,5 +133,5 @@ def _test_frames(work: WorkFolder, field: Artifact, scene: SceneViews) -> FrameV
                     found.append(one)
     if not found:
         command = shlex.join(["stylerf", "eval", str(work.root), "--of", field.name])
-        raise ArtifactStale(f"No frames of its held-out views as EXR; make them with: {command}")
+        raise ArtifactStale(f"It has no EXR frames of its held-out views; render them with: {command}")
     return FrameViews(newest(found)[0], scene.background)

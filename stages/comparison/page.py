@@ -42,8 +42,8 @@ AXES = {
     "parameters": ("parameters", "Parameters"),
 }
 TITLES = {FITS: "Fits", STYLIZATIONS: "Stylizations", EDITS: "Local edits"}
-MAX_NAMED_POINTS = 14  # panels with more points carry no names
-LOG_AXIS_RATIO = 8.0  # of the largest to the smallest cost, above which the axis is logarithmic
+MAX_NAMED_POINTS = 14  # panels with more points show no names
+LOG_AXIS_RATIO = 8.0  # ratio of the largest to the smallest cost above which the axis is logarithmic
 
 
 def comparison_charts(runs: Sequence[Run]) -> list[Chart]:
@@ -231,7 +231,7 @@ def compared(works: Sequence[WorkFolder], out: Path) -> dict[str, Any]:
     """Write compare.json, runs.csv, compare.html and charts/ to `out`; return what compare.json holds.
 
     Raises:
-        ArtifactStale: none of the work folders holds a field.
+        ArtifactStale: none of the work folders contains a field.
     """
 
     with sweeping((out, out / "charts")):

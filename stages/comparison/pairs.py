@@ -1,6 +1,6 @@
-"""The page for blind comparison: pairs of pictures of one view, without a word about what made them.
+"""The page for blind comparison: pairs of pictures of one view, without any hint of how they were made.
 
-Beside the page its key is kept, as pairs/ID.json: which side is whose. Votes name the page by its ID.
+The page's key, which records the author of each side, is kept next to it as pairs/ID.json. Votes refer to the page ID.
 """
 
 from collections.abc import Sequence
@@ -39,7 +39,7 @@ class Pair:
 def chosen_pairs(contenders: Sequence[Contender], most: int, seed: int) -> list[Pair]:
     """Choose at most `most` pairs in random order: every two of a group, then again in another view, sides swapped.
 
-    So all of them meet equally often, up to one view, and people who prefer a side favor nobody.
+    So all of them are compared equally often, up to one view, and a preference for one side favors nobody.
     """
     generator = np.random.default_rng(seed)
     meetings = []
@@ -65,7 +65,7 @@ def written_pairs(works: Sequence[WorkFolder], out: Path, named: Sequence[str], 
         works: Work folders whose stylizations are compared.
         named: Fields to compare, by name; empty for all.
         most: Pairs at most.
-        seed: Of views, order and sides.
+        seed: For views, order and sides.
 
     Raises:
         ArtifactStale: No two stylizations share scene and style image, or their frames are missing.
@@ -74,8 +74,8 @@ def written_pairs(works: Sequence[WorkFolder], out: Path, named: Sequence[str], 
     contenders, missing = contenders_of(runs, fields_of(works), named)
     pairs = chosen_pairs(contenders, most, seed)
     if not pairs:
-        why = f": {missing[0].what}: {missing[0].why}" if missing else "; stylize it once more"
-        raise ArtifactStale(f"no two stylizations of one scene by one style image to compare in {works[0].root}{why}")
+        why = f": {missing[0].what}: {missing[0].why}" if missing else "; stylize the scene once more"
+        raise ArtifactStale(f"no two stylizations in {works[0].root} share a scene and a style image{why}")
     album = Album(contenders)
     shown = [album.shown(pair) for pair in pairs]
     key = {
@@ -108,7 +108,7 @@ class Album:
         self._places: dict[tuple, int] = {}
 
     def shown(self, pair: Pair) -> dict[str, Any]:
-        """What the page holds of a pair: places of its pictures in `uris`, and the width to show them at."""
+        """Return the page's data for a pair: the indices of its pictures in `uris`, and the width to show them at."""
         left, right = self.contenders[pair.left], self.contenders[pair.right]
         first, second = left.picture(pair.view), right.picture(pair.view)
         height, width = first.shape[:2]
@@ -135,5 +135,5 @@ def _encoded(image: np.ndarray, width: int, quality: int) -> Encoded:
 
 def _unpaired(contenders: Sequence[Contender], pairs: Sequence[Pair]) -> list[Gap]:
     met = {place for pair in pairs for place in (pair.left, pair.right)}
-    why = "No other stylization of its scene by its style image, or more pairs than --max-pairs."
+    why = "No other stylization of its scene with its style image, or more pairs than --max-pairs."
     return [Gap(one.run.title, why) for place, one in enumerate(contenders) if place not in met]

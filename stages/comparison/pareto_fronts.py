@@ -8,7 +8,7 @@ from stages.comparison.runs import COSTS, Gap, Protocol, Run
 from stylerf.metrics.pareto import pareto_front
 
 Front = list[Run]  # cheapest first
-MIN_COVERAGE = 0.1  # of the pixels: a consistency over fewer is not ranked
+MIN_COVERAGE = 0.1  # of the pixels: consistency over fewer is not ranked
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Panel:
 
 
 def panel_of(runs: Sequence[Run], key: str, cost: str) -> Panel | None:
-    """Plot a metric against a cost; None if no run has both. Times and memory of unlike devices share no front."""
+    """Plot a metric against a cost; None if no run has both. Different devices share no front of times or memory."""
     having = [run for run in runs if key in run.metrics and run.costs[cost] is not None]
     if not having:
         return None
@@ -90,7 +90,7 @@ def protocols_of(runs: Sequence[Run]) -> dict[tuple[str, str], list[Protocol]]:
 
 
 def why_excluded(run: Run, key: str) -> str:
-    """Why a metric of a run cannot be on any front; empty if it can."""
+    """Return why a metric of a run cannot be on any front; empty if it can."""
     metric, coverage = run.metrics[key], run.metrics.get(f"{key.rpartition('_')[0]}_share")
     if metric.left_out:
         return f"{metric.left_out} of {metric.count + metric.left_out} views or pairs could not be measured."

@@ -19,8 +19,8 @@ from stages.evaluation.metrics import is_number
 
 FITS, STYLIZATIONS, EDITS = "fits", "stylizations", "edits"
 COSTS = ("seconds", "peak_memory_mb", "parameters")
-# The charted metrics of each family, the leading one first, each with the `stylerf eval` option that measures it. That
-# of stylizations is none that a method minimizes, as ARF does the NNFM distance.
+# The charted metrics of each family, the leading one first, each with the `stylerf eval` option that measures it. For
+# stylizations it is one that no method minimizes, unlike the NNFM distance, which ARF does.
 CHARTED = {
     FITS: {"psnr": "", "ssim": "", "lpips": ""},
     STYLIZATIONS: {"sifid": "", "edges_kept": "", "short_rmse": "--path", "long_rmse": "--path"},
@@ -33,7 +33,7 @@ NEEDED = {FITS: ("psnr",), STYLIZATIONS: tuple(CHARTED[STYLIZATIONS]), EDITS: ("
 
 @dataclass(frozen=True)
 class RunMetric:
-    """A metric of a run, from its report. count, left_out: views or pairs that were, and could not be, measured."""
+    """A metric of a run, from its report. count, left_out: views or pairs that were, or could not be, measured."""
 
     mean: float
     label: str
@@ -57,7 +57,7 @@ class Run:
         group: what its metrics can be compared within: the scene, and the style image or the edited regions.
         costs: by COSTS, None where unknown; seconds are the sum over `stages`, memory is the maximum.
         metrics: by key.
-        threads: numbers of threads these stages ran on, as far as recorded.
+        threads: numbers of threads that these stages ran on, as far as recorded.
     """
 
     family: str
@@ -80,7 +80,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Group:
-    """What comparable runs have in common: the digests of scene, style image or regions, and a name to show."""
+    """What comparable runs have in common: the digests of scene, style image or regions, and a display name."""
 
     digests: tuple[str, ...]
     name: str
@@ -95,7 +95,7 @@ class Gap:
 
 
 def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
-    """Every fit, stylization and edit of these work folders, in the order given, and what is missing."""
+    """Return every fit, stylization and edit of these work folders, in the order given, and what is missing."""
     runs: list[Run] = []
     groups: list[Group] = []
     gaps: list[Gap] = []
@@ -106,7 +106,7 @@ def runs_of(works: Sequence[WorkFolder]) -> tuple[list[Run], list[Gap]]:
                 family = family_of(artifact)
                 if family is None:
                     continue
-                with sound(artifact.path / MANIFEST, "sound options"):
+                with sound(artifact.path / MANIFEST, "valid options"):
                     run, group = _run(artifact, family, work, label, scenes)
                     hash(group)  # digests must be text
             except StylerfError as error:
@@ -125,7 +125,7 @@ def fields_of(works: Sequence[WorkFolder]) -> dict[str, tuple[WorkFolder, Artifa
 
 
 def unlike_machines(runs: Sequence[Run]) -> list[Gap]:
-    """A remark for each group whose runs used different devices or numbers of threads."""
+    """Return a remark for each group whose runs used different devices or numbers of threads."""
     found = []
     for group in dict.fromkeys(run.group for run in runs):
         counts = sorted({count for run in runs if run.group == group for count in run.threads})
@@ -141,7 +141,7 @@ def unlike_machines(runs: Sequence[Run]) -> list[Gap]:
 
 
 def family_of(artifact: Artifact) -> str | None:
-    """The family of a field; None for one that only prepares another (a deformation, or a palette fitted to photos)."""
+    """Return the family of a field; None if it only prepares another (a deformation, or a palette fitted to photos)."""
     stage = artifact.manifest.stage
     if stage in ("finetune", "recolor") or (stage == "blend" and not is_stylized(artifact)):
         return EDITS
@@ -151,7 +151,7 @@ def family_of(artifact: Artifact) -> str | None:
 
 
 def _labels(works: Sequence[WorkFolder]) -> list[str]:
-    """Names of work folders, with those of their parents where two would be equal."""
+    """Return the names of work folders, with those of their parents if two would be equal."""
     paths = [work.root.resolve() for work in works]
     for depth in range(1, max(len(path.parts) for path in paths)):
         names = ["/".join(path.parts[-depth:]) for path in paths]
@@ -234,7 +234,7 @@ def _reports(artifact: Artifact, work: WorkFolder) -> list[tuple[Artifact, dict]
 
 
 def _subject(artifact: Artifact, family: str, report: Artifact | None = None, content: dict | None = None) -> Group:
-    """What a run is measured by besides its scene: the style image, or the edited regions or masks."""
+    """What a run is measured against besides its scene: the style image, or the edited regions or masks."""
     if family == FITS:
         return Group((), "")
     return _style(artifact, report) if family == STYLIZATIONS else _edited(report, content or {})
@@ -251,11 +251,11 @@ def _group(artifact: Artifact, label: str, scenes: dict[str, str], subject: Grou
 
 
 class NoScene(ArtifactStale):
-    """A field names no scene."""
+    """A field does not record its scene."""
 
 
 def scene_behind(field: Artifact) -> Artifact:
-    """Return the scene of photos that a field shows; NoScene if none is named, ArtifactStale if it is gone."""
+    """Return the scene of photos that a field shows; NoScene if none is recorded, ArtifactStale if it is missing."""
     waiting = [field]
     while waiting:
         one = waiting.pop(0)
@@ -265,7 +265,7 @@ def scene_behind(field: Artifact) -> Artifact:
                 return original_scene(inside.get("scene", ref.name))
             if ref.kind == "field":
                 waiting.append(inside.get("field", ref.name))
-    raise NoScene(f"field {field.name} names no scene that it was made from")
+    raise NoScene(f"field {field.name} does not record the scene it was made from")
 
 
 def _style(artifact: Artifact, report: Artifact | None) -> Group:
@@ -295,7 +295,7 @@ def _file_name(path: str) -> str:
 
 
 def _group_names(groups: Sequence[Group]) -> list[str]:
-    """A unique name per group: that of its first run, with part of its digest if another group has the same name."""
+    """Return a unique name per group: that of its first run, plus part of its digest if another group shares it."""
     first: dict[tuple, str] = {}
     for group in groups:
         first.setdefault(group.digests, group.name)

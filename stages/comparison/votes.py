@@ -1,4 +1,4 @@
-"""Votes of people on pairs of pictures: read, checked and counted, beside the figures of the same runs."""
+"""People's votes on pairs of pictures: read, checked and counted, next to the figures of the same runs."""
 
 import math
 import re
@@ -25,7 +25,7 @@ from stylerf import validation
 CHOICES = ("left", "right", "same")
 CONFIDENCE = 0.95
 MOST_BYTES, MOST_PAIRS = 4 << 20, 100_000
-SHOWN = ("sifid", "color_distribution", "speckle", "edges_kept", "short_rmse", "long_rmse")  # beside the votes
+SHOWN = ("sifid", "color_distribution", "speckle", "edges_kept", "short_rmse", "long_rmse")  # next to the votes
 EVERYWHERE = "all scenes and style images"
 
 
@@ -87,12 +87,12 @@ class Agreement:
 
 
 def read_votes(files: Sequence[Path], out: Path) -> list[Vote]:
-    """Read files of votes, in the order given. out: the folder with the keys of their pages.
+    """Read votes files, in the order given. out: the folder with the keys of their pages.
 
-    A field has one label in a group, that of the last page, and no other field has it.
+    A field has one label in a group, that of the last page, which no other field shares.
 
     Raises:
-        BadInput: A file is missing, no file of votes, of an unknown page, given twice, or votes twice on a pair.
+        BadInput: A file is missing, not a votes file, from an unknown page, given twice, or has two votes on a pair.
     """
     found: list[Vote] = []
     seen: dict[str, Path] = {}
@@ -100,24 +100,28 @@ def read_votes(files: Sequence[Path], out: Path) -> list[Vote]:
         content = _content(path)
         digest = digest_of(content)
         if digest in seen:
-            raise BadInput(f"{path} holds the same votes as {seen[digest]}; give each file once")
+            raise BadInput(f"{path} contains the same votes as {seen[digest]}; give each file once")
         seen[digest] = path
         pairs = _key(path, content["page"], out)
         voted = Counter(vote["pair"] for vote in content["votes"])
         if unknown := [pair for pair in voted if str(pair) not in pairs]:
-            raise BadInput(f"{path} votes on pair {unknown[0]}, which its page does not have; save the votes again")
+            raise BadInput(
+                f"{path} contains a vote on pair {unknown[0]}, which is not on its page; save the votes again"
+            )
         if twice := [pair for pair, times in voted.items() if times > 1]:
-            raise BadInput(f"{path} votes {voted[twice[0]]} times on pair {twice[0]}; keep one of these votes")
+            raise BadInput(f"{path} contains {voted[twice[0]]} votes on pair {twice[0]}; keep one of them")
         for vote in content["votes"]:
             sides = pairs[str(vote["pair"])]
             found.append(Vote(None if vote["choice"] == "same" else sides[CHOICES.index(vote["choice"])], sides))
     if not found:
-        raise BadInput(f"{', '.join(map(str, files))}: no votes in it; vote on a page of stylerf compare --pairs")
+        raise BadInput(
+            f"{', '.join(map(str, files))}: no votes found; vote on a page written by `stylerf compare --pairs`"
+        )
     return _labeled_apart(found)
 
 
 def _labeled_apart(votes: Sequence[Vote]) -> list[Vote]:
-    """The votes with labels that name one field each within a group: a page labels only its own contenders apart."""
+    """Return the votes with labels that are unique within a group: a page only distinguishes its own contenders."""
     sides = [side for vote in votes for side in vote.sides]
     labels = {(side.group, side.title, side.field): side.label for side in sides}
     uses = Counter((group, label) for (group, *_), label in labels.items())
@@ -148,25 +152,27 @@ def _content(path: Path) -> dict[str, Any]:
         if (data.get("format"), data.get("version")) != ("stylerf votes", 1):
             raise ValueError("its format is not 'stylerf votes', version 1")
         if not re.fullmatch("[0-9a-f]{64}", validation.entry(data, "page", str)):
-            raise ValueError("its page is not named by 64 hex digits")
+            raise ValueError("its page ID is not 64 hex digits")
         votes = validation.entry(data, "votes", list)
         for vote in votes:
             validation.integer(validation.table(vote, "a vote"), "pair", 0, MOST_PAIRS)
             validation.one_of(vote, "choice", CHOICES)
     except UNSOUND as error:
-        raise BadInput(f"{path} is not a file of votes: {error}; save one on a page of compare --pairs") from error
+        raise BadInput(
+            f"{path} is not a votes file: {error}; save one from a page of `stylerf compare --pairs`"
+        ) from error
     return data
 
 
 def _key(votes: Path, page: str, out: Path) -> dict[str, tuple[Side, Side]]:
-    """Sides by the number of a pair, from the key of a page."""
+    """Return the sides by pair number, from the key of a page."""
     path = out / KEYS / f"{page}.json"
     try:
         content = read_json(path)
     except FileNotFoundError:
         raise BadInput(
-            f"{votes} is of a page whose key {path} does not exist; give the --out and the first WORK of its "
-            "stylerf compare --pairs"
+            f"{votes} belongs to a page whose key {path} does not exist; give the same --out and first WORK as for "
+            "`stylerf compare --pairs`"
         ) from None
     try:
         sides = [Side(**{name: validation.entry(one, name, str) for name in ("label", "title", "group", "field")})
@@ -176,7 +182,7 @@ def _key(votes: Path, page: str, out: Path) -> dict[str, tuple[Side, Side]]:
             places = [validation.integer(pair, side, 0, len(sides) - 1) for side in ("left", "right")]
             found[number] = (sides[places[0]], sides[places[1]])
     except UNSOUND as error:
-        raise BadInput(f"{path} is not a key of a page: {error}; write the page again") from error
+        raise BadInput(f"{path} is not a valid page key: {error}; write the page again") from error
     return found
 
 
@@ -206,7 +212,7 @@ def standings(votes: Iterable[Vote], runs: Mapping[str, Run]) -> dict[str, list[
 
 
 def agreements(votes: Iterable[Vote], runs: Mapping[str, Run]) -> list[Agreement]:
-    """For every figure that has a better direction: in how many decided votes the better run's picture won.
+    """Return, for every figure that has a better direction, in how many decided votes the better run's picture won.
 
     Left out: votes between equal figures, or figures measured by different protocols or not on all views.
     """
@@ -229,7 +235,7 @@ def agreements(votes: Iterable[Vote], runs: Mapping[str, Run]) -> list[Agreement
 
 
 def counted_votes(works: Sequence[WorkFolder], files: Sequence[Path], out: Path) -> dict[str, Any]:
-    """Write votes.json and votes.html to `out`; return what votes.json holds. Errors as in read_votes."""
+    """Write votes.json and votes.html to `out`; return the contents of votes.json. Errors as in read_votes."""
     votes = read_votes(files, out)
     known, _ = runs_of(works)
     runs, gaps = {run.title: run for run in known}, []
@@ -238,7 +244,7 @@ def counted_votes(works: Sequence[WorkFolder], files: Sequence[Path], out: Path)
         if side.title not in fields:
             gaps.append(Gap(side.title, "It is not in these work folders; its figures are left out."))
         elif fields[side.title][1].digest != side.field:
-            gaps.append(Gap(side.title, "It was made again since the vote; its figures are left out."))
+            gaps.append(Gap(side.title, "It was rebuilt after the vote; its figures are left out."))
             runs.pop(side.title, None)
     tables, agreed = standings(votes, runs), agreements(votes, runs)
     content = {

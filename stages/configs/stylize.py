@@ -181,6 +181,8 @@ class StylizeConfig:
             raise ValueError("--stroke has no effect with --reference; leave it out")
         if self.stroke_by_depth:
             raise ValueError("--stroke-by-depth has no effect with --reference; leave it out")
+        if self.style_scale != StylizeConfig.style_scale:
+            raise ValueError("--style-scale has no effect with --reference; leave it out")
         if self.keep_frame and not self.style:
             raise ValueError("--keep-frame has no effect with --reference; leave it out")
 
@@ -337,6 +339,10 @@ class RefNprConfig(ArfConfig):
             raise ValueError("--reference gives the stylized views; --reference-by and --reference-view make one")
         if self.reference or self.reference_by in ("gram", "adain"):
             self._refuse_matching("--reference" if self.reference else f"--reference-by {self.reference_by}")
+        if self.reference or self.reference_by == "adain":
+            source = "--reference" if self.reference else "--reference-by adain"
+            if self.reference_steps != RefNprConfig.reference_steps or self.image_rate != RefNprConfig.image_rate:
+                raise ValueError(f"--reference-steps and --image-rate have no effect with {source}; leave them out")
         views = [file_of(text)[0] for text in self.reference]
         if len(set(views)) < len(views):
             raise ValueError(f"a view has two references: {', '.join(views)}")

@@ -1,4 +1,4 @@
-"""The network that judges stylizations: another one than those that made them."""
+"""The network that judges stylizations: a different one than those that made them."""
 
 from collections.abc import Collection
 from contextlib import suppress
@@ -45,7 +45,7 @@ def judge_beside(used: Collection[str], otherwise: resolve.ResolvedExtractor) ->
 
 
 def networks_that_stylized(field: Artifact | None) -> frozenset[str]:
-    """Digests of the feature networks behind a field, its local edits included, as their manifests record them."""
+    """Return the digests of the feature networks behind a field and its local edits, as recorded in their manifests."""
     if field is None:
         return frozenset()
     figures = [one.manifest.figures.get("features") for one in [field, *sources_of(field, ("field", "scene", "edit"))]]

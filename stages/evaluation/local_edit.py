@@ -52,11 +52,11 @@ class LocalEdit:
 
     @property
     def margin(self) -> int:
-        """Pixels around the region that are neither region nor background; 0 for masks given as images."""
+        """Width in pixels of the ring that is neither region nor background; 0 for masks given as images."""
         return 0 if self._config.masks else self._config.margin
 
     def unedited_render(self, render: Render) -> Render | None:
-        """The same view of the unedited field; None if it was not rendered."""
+        """Return the same view of the unedited field; None if it was not rendered."""
         return self.unedited.same_view(render)
 
     def measure(
@@ -88,7 +88,7 @@ class LocalEdit:
     def path_masks(self) -> Callable[[Render], np.ndarray] | None:
         """A function giving the region's pixels [h, w] of a frame of a camera path; None with masks given as images.
 
-        The masks come from the unedited field: those stored with the frames are of the edited field's density.
+        The masks come from the unedited field: those stored with the frames are based on the edited field's density.
         """
         return None if isinstance(self._masks, ImageMasks) else self._masks.march
 
@@ -140,12 +140,12 @@ class LocalEdit:
         }
 
     def warnings(self) -> list[str]:
-        """What a reader must know before trusting these metrics."""
+        """Return what a reader must know before trusting these metrics."""
         if not isinstance(self._masks, ImageMasks):
             return []
         missing, folder, found = self._masks.missing, self._config.masks, []
         if self._masks.nonempty and not any(self._masks.nonempty):
-            found.append(f"All masks in {folder} are empty: everything counts as background.")
+            found.append(f"All masks in {folder} are empty, so everything is treated as background.")
         if missing:
             found.append(f"{len(missing)} views have no mask in {folder} and are left out: {listed(missing)}.")
         return found

@@ -1,4 +1,4 @@
-"""Views painted in 2D by the loss of a stylization, to show beside its renders: a ceiling for them."""
+"""Views painted in 2D by the loss of a stylization, shown next to its renders as an upper bound."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -17,7 +17,7 @@ from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.stylize.painted_photo import painted_photo
 from stylerf.training.stylize.settings import ImageStyleSettings
 
-# Options that concern images, and the methods with defaults of their own for them; the others paint as ARF does.
+# Options that concern images, and the methods with their own defaults for them; the others paint as ARF does.
 OF_IMAGES = {item.name for item in fields(StylizeConfig)} | {"image_by"}
 OF_IMAGES -= {"method", "style", "style_digest", "features_digest", "budget"}
 PAINTERS: dict[str, type[StylizeConfig]] = {"desrf": DesrfConfig, "snerf": SnerfConfig}
@@ -47,7 +47,7 @@ class PaintedViews:
 
 
 def options_of(field: Artifact | None, style: Path) -> StylizeConfig:
-    """The options of the last stylization of a field that concern images; the defaults if none is known."""
+    """Return the image options of the last stylization of a field; the defaults if none is known."""
     behind = [] if field is None else [field, *sources_of(field, ("field",))]
     made = next((one for one in behind if one.manifest.stage == "stylize"), None)
     config = {} if made is None else made.manifest.config
@@ -55,5 +55,5 @@ def options_of(field: Artifact | None, style: Path) -> StylizeConfig:
         painter = PAINTERS.get(config.get("method", ""), ArfConfig)
         own = OF_IMAGES & {item.name for item in fields(painter)}
         return painter(style=str(style), **{key: value for key, value in config.items() if key in own})
-    except (TypeError, ValueError):  # options of another version, or of references
+    except (TypeError, ValueError):  # options of another version, or for references
         return ArfConfig(style=str(style))

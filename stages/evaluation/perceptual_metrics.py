@@ -72,7 +72,7 @@ def available_networks(perceptual: bool, style: bool, features: str, field: Arti
 
 
 def _judge_of(own: resolve.ResolvedExtractor, field: Artifact | None) -> Judge:
-    """The judge of a field. A field that records no network is taken to be stylized by the one that measures it."""
+    """Return the judge of a field. If the field records no network, the one that measures it is assumed."""
     return judge_beside(networks_that_stylized(field) or {own.digest}, own)
 
 
@@ -235,7 +235,7 @@ class PerceptualMetrics:
 
     @classmethod
     def load(cls, config: EvaluateConfig, field: Artifact | None, context: Context) -> "PerceptualMetrics":
-        """Load what the config asks for and this machine has; report the feature network of the style distances."""
+        """Load what the config requests and is installed; report the feature network of the style distances."""
         st_lpips, lpips = perceptual_networks(context.device) if config.perceptual != "none" else (None, None)
         path = style_file(config, field)
         if path is None:
@@ -272,7 +272,7 @@ class PerceptualMetrics:
 
 
 def style_label(config: EvaluateConfig, field: Artifact | None) -> str:
-    """What labels call the style image: a field stylized by references alone is compared with the first of them."""
+    """What labels call the style image: a field stylized only by references is compared with the first of them."""
     made_with = {} if config.style or field is None else field.manifest.config
     return "the reference" if made_with.get("reference") and not made_with.get("style") else STYLE_IMAGE
 

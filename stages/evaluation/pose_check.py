@@ -1,4 +1,4 @@
-"""Check a scene's poses: how far its photos are shifted from the renders of a fitted field (decision 0045)."""
+"""Check a scene's poses by how far its photos are shifted from the renders of a fitted field (decision 0045)."""
 
 import math
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from stylerf.training.fit.fitter import Fitter
 EVEN_VIEWS, WORST_VIEWS = 8, 3  # checked: views evenly spread, and those with the largest error
 LONGER_SIDE = 128  # pixels of the images that are compared
 RAYS, MIN_RAYS_PER_VIEW = 16_384, 64  # sampled to find the worst views
-MIN_CORRELATION = 0.5  # below it, render and photo are too different to measure a shift
+MIN_CORRELATION = 0.5  # below this, render and photo are too different to measure a shift
 # With correct poses, the median shift is below BASE_SHIFT + SHIFT_SLOPE (1 - its correlation), as a fraction of the
 # longer side: an unfinished field locates things less precisely. Shifts up to MIN_SHIFT_PX never warn.
 BASE_SHIFT, SHIFT_SLOPE, MIN_SHIFT_PX = 0.001, 0.03, 1.0
-# A view below the first is an outlier where the median correlation is above the second.
+# A view below the first is an outlier if the median correlation is above the second.
 OUTLIER_CORRELATION, GOOD_CORRELATION = 0.6, 0.85
 ADVICE = (
     "find new poses with `stylerf import PHOTOS WORK --format photos`, also with --matching exhaustive or more "
@@ -72,7 +72,7 @@ def pose_metrics(shifts: list[ViewShift]) -> dict:
 
 
 def pose_warning(shifts: list[ViewShift]) -> str | None:
-    """The warning if poses do not match the photos; None if they do, or if the field is too poor to decide."""
+    """Return a warning if poses do not match the photos; None if they do, or if the field is too poor to decide."""
     median, worst, correlation = _median(shifts), shifts[-1], _correlation(shifts)
     count = sum(shift.evenly for shift in shifts)
     if correlation < MIN_CORRELATION:

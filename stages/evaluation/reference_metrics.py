@@ -56,7 +56,7 @@ def check_references(references: Sequence[str], scene: SceneViews) -> None:
 def read_reference(path: Path) -> np.ndarray:
     """Read a reference as [h, w, 3] sRGB 0..1, composited on white. BadInput if the file is missing."""
     if not path.is_file():
-        raise BadInput(f"--reference: no file {path}")
+        raise BadInput(f"--reference: {path} not found")
     return read_colors(path)
 
 
@@ -74,7 +74,7 @@ def resized_to(image: np.ndarray, render: Render) -> np.ndarray:
 
 
 def references_digest(references: Sequence[str]) -> str:
-    """Digest of the views and contents of the references; BadInput if one is missing or no image."""
+    """Return the digest of the views and contents of the references; BadInput if one is missing or not an image."""
     pairs = [file_of(text) for text in references]
     for _, path in pairs:
         read_reference(path)

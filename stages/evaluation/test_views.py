@@ -82,7 +82,7 @@ class SceneViews:
 
     @property
     def background_description(self) -> str:
-        """What is behind transparent pixels, for protocols."""
+        """The background of transparent pixels, for protocols."""
         return {
             "alpha": "(both composited on white)"
             if self._data.layout == "object"
@@ -117,7 +117,7 @@ class SceneViews:
         return Photo(image, mask, None if size_differs else depth, other_size, size_differs, visible)
 
     def center_of(self, name: str) -> np.ndarray:
-        """Camera center [3] of a view given by name or number; BadInput if there is no such view."""
+        """Return the camera center [3] of a view given by name or number; BadInput if it does not exist."""
         return self._data.cameras[view_index(self._data, name, "--reference")].center
 
     @property

@@ -1,5 +1,5 @@
-"""Lists of cameras: transforms.json and camera_path.json of nerfstudio, cameras.json of 3D Gaussian splatting, Nuke's
-.chan, COLMAP models.
+"""Camera lists: nerfstudio's transforms.json and camera_path.json, cameras.json of 3D Gaussian splatting, Nuke's .chan,
+COLMAP models.
 
 Cameras are in the coordinates of the file, with OpenCV axes; the writers turn them to the axes of each format.
 """
@@ -36,7 +36,7 @@ def write_transforms(path: Path, cameras: list[Camera], splits: dict[str, str], 
     """Write nerfstudio's transforms.json, each frame with its own lens.
 
     Args:
-        splits: train, test or "" by camera's name; listed if any is known.
+        splits: train, test or "" by camera name; listed if any is known.
         photo: pattern of file_path; {} is the camera's name.
     """
     frames = [
@@ -87,8 +87,9 @@ def write_chan(path: Path, cameras: list[Camera]) -> None:
     """Write Nuke's .chan: a line per frame (from 1) with position, Euler angles and vertical field of view.
 
     Angles are degrees, rotation order ZXY, Nuke's default for cameras: a point is turned about z, then x, then y, so
-    that the rotation is Ry Rx Rz. Cameras look along -z, y up. The file states neither the order nor the frame rate.
-    Of the angles that mean one rotation, each frame has those nearest to the frame before, so that they interpolate.
+    that the rotation is Ry Rx Rz. Cameras look along -z, y up. The file records neither the order nor the frame rate.
+    Of the angles that describe one rotation, each frame has those nearest to the previous frame, so that they
+    interpolate.
     """
     lines = []
     angles = np.zeros(3)

@@ -44,7 +44,7 @@ def photo_of(camera: Camera) -> str:
 
 
 def _copy_photos(job: ExportJob, views: list[int]) -> None:
-    """Copy the scene's pictures, which are undistorted, as pinhole cameras need them, under the names of the views."""
+    """Copy the scene's pictures, undistorted as pinhole cameras require, under the names of the views."""
     job.context.progress.start("export", len(views), "photo")
     for done, view in enumerate(views, start=1):
         target = job.folder / PHOTOS / photo_of(job.scene.cameras[view])
@@ -121,21 +121,21 @@ _WRITERS: dict[str, _Writer] = {
 
 
 def _say_of_sizes(job: ExportJob, cameras: list[Camera], name: str) -> None:
-    """Say what a format loses that has one size for all pictures, or none."""
+    """Warn of what is lost in a format that has one size for all pictures, or none."""
     if len({(one.width, one.height) for one in cameras}) > 1:
-        job.say(f"{name} does not hold the different sizes of its views; transforms, colmap and 3dgs do")
+        job.say(f"{name} cannot store different sizes for its views; transforms, colmap and 3dgs can")
 
 
 def _say_of_centers(job: ExportJob, cameras: list[Camera], name: str, square: bool = True) -> None:
-    """Say what a format loses that has no principal point and, if `square`, one focal length."""
+    """Warn of what is lost in a format without a principal point and, if `square`, with a single focal length."""
 
     def shift(one: Camera) -> float:
         off = max(abs(one.cx - one.width / 2), abs(one.cy - one.height / 2))
         return max(off, abs(one.fx / one.fy - 1) * one.width) if square else off
 
     if (largest := max(map(shift, cameras))) > 0.01:
-        lenses = ", and one focal length for both axes" if square else ""
+        lenses = " and only one focal length" if square else ""
         job.say(
-            f"{name} holds no principal point{lenses}: its cameras are off by up to {largest:.2g} pixels; transforms, "
-            "colmap and usd hold all"
+            f"{name} stores no principal point{lenses}: its cameras are off by up to {largest:.2g} pixels; "
+            "transforms, colmap and usd store everything"
         )

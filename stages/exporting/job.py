@@ -1,4 +1,4 @@
-"""What an export is made of, and what it says about the files that it writes."""
+"""The inputs of an export, and the description of the files that it writes."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,7 +15,7 @@ from stages.configs.export import ExportConfig
 from stages.run.progress import Context
 from stylerf.fields.radiance_field import RadianceField
 
-COARSEST_STEP = 0.1  # of 32-bit coordinates, in sizes of what has them
+COARSEST_STEP = 0.1  # precision of 32-bit coordinates, relative to the size of what they place
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,9 @@ class ExportedFile:
 
     Attributes:
         path: inside the artifact, with forward slashes.
-        up: axis that is up in it, y or z; "" for the axes of the units as they are.
+        up: axis that is up in it, y or z; "" for unchanged axes.
         file_from_scene: [4, 4] similarity from scene units to its coordinates.
-        notes: conventions that the format leaves open, by name.
+        notes: conventions that the format does not define, by name.
     """
 
     path: str
@@ -51,7 +51,7 @@ class ExportJob:
 
     @cached_property
     def field(self) -> RadianceField:
-        """The field, as it is rendered: deformed and edited."""
+        """The field as it is rendered: deformed and edited."""
         return load_field(self.inputs["field"])[0]
 
     def say(self, text: str) -> None:
@@ -59,13 +59,13 @@ class ExportJob:
         self.context.progress.say(text)
 
     def placed(self, path: str, up: str = "", **notes: object) -> ExportedFile:
-        """Describe a file in the units of the options. up: y or z, or "" for their own axes."""
+        """Describe a file in the units of the options. up: y or z, or "" for unchanged axes."""
         return ExportedFile(path, up, file_from_scene(self.scene, self.config.units, up), notes)
 
     def check_precision(self, points: np.ndarray, sizes: np.ndarray) -> None:
         """Raise BadInput if files, whose coordinates are float32, would blur most of what is exported.
 
-        Source coordinates may lie far from their origin, such as those of a map.
+        Source coordinates may be far from their origin, such as those of a map.
 
         Args:
             points: [n, 3], scene units.
@@ -76,7 +76,7 @@ class ExportJob:
         steps, sizes = np.spacing(reach.astype(np.float32)), sizes * scale_of(matrix)
         if np.mean(steps > COARSEST_STEP * sizes) > 0.5:
             raise BadInput(
-                f"{self.scene.folder}: its source coordinates reach {reach.max():.3g}, where the 32-bit numbers of "
-                f"exported files are {steps.max():.2g} apart, and details are {np.median(sizes):.2g} large; export "
-                "with --units scene"
+                f"{self.scene.folder}: its source coordinates reach {reach.max():.3g}, where the 32-bit floats of "
+                f"exported files are {steps.max():.2g} apart, too coarse for details of {np.median(sizes):.2g}; "
+                "export with --units scene"
             )

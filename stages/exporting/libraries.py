@@ -8,7 +8,7 @@ from schemas.errors import OutOfResources
 
 PACKAGES = {"pxr": "usd-core", "pygltflib": "pygltflib", "fast_simplification": "fast-simplification", "gsply": "gsply"}
 OF_FORMATS = {"usd": "pxr", "usda": "pxr", "usdc": "pxr", "glb": "pygltflib", "spz": "gsply"}
-ALONE = {("splats", "glb")}  # kind and format: written without the library
+ALONE = {("splats", "glb")}  # kind and format that do not need the library
 
 
 def check_formats(kind: str, formats: tuple[str, ...]) -> None:
@@ -19,7 +19,7 @@ def check_formats(kind: str, formats: tuple[str, ...]) -> None:
 
 
 def needed(module: str, purpose: str) -> Any:
-    """Import a library; OutOfResources that says how to install it where it is missing.
+    """Import a library; if it is missing, OutOfResources says how to install it.
 
     Args:
         module: its name, with the submodule that is wanted.

@@ -1,7 +1,7 @@
 """The surface of a field as GLB, OBJ with MTL, or PLY, with vertex colors.
 
-GLB and OBJ have y up, as glTF prescribes and importers of OBJ expect; PLY keeps the axes of the units, so that it lies
-on sparse points and splats.
+GLB and OBJ have y up, as glTF prescribes and importers of OBJ expect; PLY keeps the axes of the units, so that it
+aligns with sparse points and splats.
 """
 
 import io
@@ -87,7 +87,7 @@ def write_obj(path: Path, surface: Surface) -> None:
     np.savetxt(text, np.concatenate([surface.mesh.vertices, surface.colors], 1), "v %.9g %.9g %.9g %.4f %.4f %.4f")
     np.savetxt(text, surface.normals, "vn %.4f %.4f %.4f")
     text.write(f"usemtl {MATERIAL}\n")
-    corners = np.repeat(surface.mesh.faces + 1, 2, axis=1)  # vertex and normal have one number
+    corners = np.repeat(surface.mesh.faces + 1, 2, axis=1)  # vertex and normal have the same index
     np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     write_bytes(path, text.getvalue().encode())
 

@@ -18,9 +18,9 @@ class _Geometry(NamedTuple):
     """The field in a shot.
 
     Attributes:
-        notes: What its colors are, for export.json.
+        notes: The meaning of its colors, for export.json.
         add: Adds it to the stage of a file and returns its extent [2, 3].
-        beside: Files with it that are written already.
+        beside: Files that are already written next to it.
     """
 
     notes: dict[str, object]

@@ -15,7 +15,7 @@ from stylerf.geometry.spherical_harmonics import C0
 from stylerf.kernels.cpu.splats import Gaussians
 from stylerf.srgb import decoded
 
-SPZ_FRACTION_BITS = 12  # of positions of 24 bits, where they fit; small splats get more
+SPZ_FRACTION_BITS = 12  # of 24-bit positions, where they fit; small splats get more
 SPZ_MOST_BITS = 24
 SPZ_LARGEST = 2**23  # of a position's fixed-point number
 SPZ_LOG_SCALES = -10.0, 255 / 16 - 10  # the smallest and the largest size, natural logarithms
@@ -28,7 +28,7 @@ USD_REACH = 3.0  # standard deviations that the extent encloses
 
 
 def write_ply(path: Path, splats: Gaussians) -> None:
-    """Write the PLY of 3D Gaussian splatting (Kerbl et al. 2023), which most viewers and editors read.
+    """Write the PLY format of 3D Gaussian splatting (Kerbl et al. 2023), which most viewers and editors read.
 
     One vertex each: x y z, f_dc_* and f_rest_* (coefficients of spherical harmonics, f_rest channel by channel),
     opacity as a logit, scale_* as natural logarithms, rot_* as a quaternion w x y z. Normals, which the format has and
@@ -54,9 +54,9 @@ def write_ply(path: Path, splats: Gaussians) -> None:
 
 
 def write_spz(path: Path, splats: Gaussians) -> int:
-    """Write SPZ (Niantic) version 3, a tenth of PLY's size: 8 to 24 bits a number, compressed by gzip.
+    """Write SPZ (Niantic) version 3, a tenth of the size of PLY: 8 to 24 bits per number, compressed by gzip.
 
-    Returns the bits behind the point of positions: as many as leave room, at most those that splats of this size need.
+    Returns the fractional bits of positions: as many as leave room, at most those that splats of this size need.
     """
     gsply = needed("gsply", "--format spz")
     reach = float(np.abs(splats.centers).max(initial=0.0))
@@ -65,8 +65,8 @@ def write_spz(path: Path, splats: Gaussians) -> int:
     bits = min(max(SPZ_FRACTION_BITS, wanted), room, SPZ_MOST_BITS)
     if bits < 1:
         raise BadInput(
-            f"{path.name}: splats reach {reach:.3g} units from the origin, and SPZ ends at {SPZ_LARGEST / 2:.2g}; "
-            "export with --units scene, or to another format"
+            f"{path.name}: splats reach {reach:.3g} units from the origin, beyond the {SPZ_LARGEST / 2:.2g} that SPZ "
+            "can store; export with --units scene, or to another format"
         )
     higher = splats.harmonics[:, 1:] if splats.harmonics.shape[1] > 1 else None
     data = gsply.GSData.from_arrays(
@@ -77,7 +77,7 @@ def write_spz(path: Path, splats: Gaussians) -> int:
 
 
 def lost_in_spz(splats: Gaussians, bits: int) -> str:
-    """Describe what SPZ cannot hold of the splats; "" if nothing matters.
+    """Describe what SPZ cannot store of the splats; "" if nothing significant.
 
     Args:
         bits: behind the point of positions.
@@ -88,10 +88,10 @@ def lost_in_spz(splats: Gaussians, bits: int) -> str:
     if clamped:
         words.append(
             f"{clamped:,} of {len(splats.centers):,} splats are smaller than {np.exp(low):.2g} or larger than "
-            f"{np.exp(high):.3g} units and were given that size"
+            f"{np.exp(high):.3g} units and were clamped"
         )
     if 2.0**-bits > (size := _median_size(splats)):
-        words.append(f"positions are in steps of {2.0**-bits:.2g} units, and splats {size:.2g} large")
+        words.append(f"positions are rounded to steps of {2.0**-bits:.2g} units, and splats measure {size:.2g}")
     return "; ".join(words)
 
 
@@ -162,12 +162,12 @@ def write_usd(path: Path, splats: Gaussians, config: ExportConfig) -> None:
 
 
 def check_usd() -> None:
-    """Raise OutOfResources if the installed OpenUSD has no prim for splats."""
+    """Raise OutOfResources if the installed OpenUSD does not support splats."""
     volumes, usd = needed("pxr.UsdVol", "USD"), needed("pxr.Usd", "USD")
     if not hasattr(volumes, "ParticleField3DGaussianSplat"):
         year, month = usd.GetVersion()[1:]
         raise OutOfResources(
-            f"USD splats need OpenUSD 26.03 or later, this is {year}.{month:02}; pip install -U usd-core, or choose "
+            f"USD splats need OpenUSD 26.03 or later, found {year}.{month:02}; pip install -U usd-core, or choose "
             "another format"
         )
 

@@ -28,11 +28,11 @@ from stylerf.splats.similarity import moved_gaussians
 from stylerf.splats.views import views_to_learn
 
 COLORS = "spherical harmonics of sRGB-encoded, display-referred colors"
-USD_FORMATS = {"usdc", "usda"}  # get a PLY beside them: programs that read USD may not know its splats yet
+USD_FORMATS = {"usdc", "usda"}  # get a PLY next to them: programs that read USD may not support its splats yet
 NEAR = 0.05  # of the scene's nearest depth: centers nearer to a camera are not drawn
-FARTHEST = 30.0  # of the scene's farthest depth: where the opaque background of a capture is put
-VIEW_TIME = 0.3  # of a budget of time, for rendering the views to learn from
-MOST_VIEWS = 60  # of those; with a budget of steps, exactly as many, so that the result repeats
+FARTHEST = 30.0  # of the scene's farthest depth: where the opaque background of a capture is placed
+VIEW_TIME = 0.3  # share of a time budget for rendering the views to learn from
+MOST_VIEWS = 60  # of those views; with a budget of steps exactly as many, so that the result is reproducible
 FEWEST_VIEWS = 8
 MEASURED_VIEWS = 8  # held-out views, at most
 ERRORS_SHOWN = 20  # steps that the shown quality is the mean of
@@ -56,7 +56,7 @@ def write(job: ExportJob) -> tuple[list[ExportedFile], dict]:
 
 
 def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
-    """Return the field's splats, in scene units, and the figures of their making."""
+    """Return the field's splats, in scene units, and the figures of their optimization."""
     if job.context.device == "cuda":
         job.say("splats are optimized on the CPU: they have no GPU kernels")
     began = time.monotonic()
@@ -86,7 +86,7 @@ def splats_of(job: ExportJob) -> tuple[Gaussians, dict]:
 
 
 def _pictures(job: ExportJob) -> tuple[list[_View], SurfacePoints]:
-    """Render the views to learn from, as many as the budget has time for, and draw points of their surfaces."""
+    """Render the views to learn from, as many as the budget allows, and sample points on their surfaces."""
     cameras = views_to_learn([job.scene.cameras[i] for i in job.scene.splits["train"]])[:MOST_VIEWS]
     if not cameras:
         raise BadInput(f"{job.scene.folder}: the scene has no training views to place splats from")
@@ -180,8 +180,8 @@ def written(job: ExportJob, name: str, splats: Gaussians) -> ExportedFile:
         bits = splat_files.write_spz(path, placed)
         to.notes["position_step"] = 2.0**-bits
         if lost := splat_files.lost_in_spz(placed, bits):
-            other = "another format" if job.config.units == "scene" else "--units scene, or in another format"
-            job.say(f"{to.path} is coarse: {lost}; export with {other}")
+            other = "another format" if job.config.units == "scene" else "--units scene or to another format"
+            job.say(f"{to.path} loses precision: {lost}; export {other}")
     elif name == "glb":
         splat_files.write_glb(path, placed)
     else:

@@ -43,7 +43,7 @@ class Surface:
 
 
 def surface_of(job: ExportJob) -> Surface:
-    """Return what the training cameras see of the field; BadInput if that is nothing."""
+    """Return what the training cameras see of the field; BadInput if they see nothing."""
     config, field, progress, threads = job.config, job.field, job.context.progress, job.context.threads
     if config.faces:
         _simplifier(config.faces)  # before anything is computed
@@ -82,7 +82,7 @@ def decimated(mesh: Mesh, faces: int) -> Mesh:
     if not 0 < faces < len(mesh.faces):
         return mesh
     library = _simplifier(faces)
-    # Centered and scaled: it computes in float32, which large coordinates would exhaust.
+    # Centered and scaled, because it computes in float32, whose precision large coordinates would exceed.
     middle = mesh.vertices.mean(0)
     size = max(float(np.abs(mesh.vertices - middle).max()), 1e-30)
     vertices, triangles = library.simplify(

@@ -1,7 +1,7 @@
 """USD scenes: y up, cameras with time samples, meshes with vertex colors.
 
-A USD matrix acts on row vectors, so it is the transpose of ours. A USD camera looks along -z, y up, and has a film: the
-focal length, aperture and its offset are in tenths of a unit of the scene, of which only the ratios matter here.
+A USD matrix acts on row vectors, so it is the transpose of ours. A USD camera looks along -z, y up, and models film:
+focal length, aperture and its offset are in tenths of a scene unit; only their ratios matter here.
 """
 
 import math
@@ -33,11 +33,11 @@ def new_stage(path: Path, config: ExportConfig) -> Any:
 
 
 def add_camera(stage: Any, cameras: list[Camera], near_far: tuple[float, float]) -> None:
-    """Add one camera that takes the place of each of `cameras` in turn, from time code 1, and its picture's size.
+    """Add one camera that moves to each of `cameras` in turn, from time code 1, and its picture's size.
 
     Args:
         cameras: in the coordinates of the stage.
-        near_far: clipping range, units of the stage; programs cut off what is outside.
+        near_far: clipping range, units of the stage; programs clip what is outside.
     """
     geometry, gf = needed("pxr.UsdGeom", "USD"), needed("pxr.Gf", "USD")
     prim = geometry.Camera.Define(stage, CAMERA)

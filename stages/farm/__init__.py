@@ -1,1 +1,1 @@
-"""Many scenes: a table of scenes, styles, methods and seeds as jobs of Snakemake, each of them one verb."""
+"""Many scenes: a table of scenes, styles, methods and seeds as Snakemake jobs of one verb each."""

@@ -12,19 +12,19 @@ from stylerf.metrics.pareto import pareto_front
 
 # Style, by a network that no method matched; structure; consistency; then the cost.
 COLUMNS = ("sifid", "judge_gram", "edges_kept", "short_rmse", "long_rmse", "seconds", "peak_memory_mb")
-# Of local edits: what changed, what should not have, consistency; then the cost. All edits of a scene share one block.
+# For local edits: what changed, what should not have, consistency; then cost. All edits of a scene share one block.
 EDIT_COLUMNS = (
     "change_lab", "background_ratio", "bleeding", "edit_short_rmse", "edit_long_rmse", "seconds", "peak_memory_mb",
 )  # fmt: skip
 COSTS = {"seconds": ("Time", "s", "lower", 0), "peak_memory_mb": ("Peak memory", "MB", "lower", 0)}
-# Consistency and structure are shown against style alone: blur is consistent.
+# Consistency and structure are shown only against style, since blur is consistent.
 STYLE, AGAINST = "sifid", ("seconds", "edges_kept", "short_rmse", "long_rmse")
 Block = tuple[str, str]  # scene and style; no style for edits
 
 
 @dataclass(frozen=True)
 class Value:
-    """Mean and sample standard deviation (1/(n-1)) of `count` values; no spread of a single one."""
+    """Mean and sample standard deviation (1/(n-1)) of `count` values; a single value has no spread."""
 
     mean: float
     spread: float | None
@@ -48,7 +48,7 @@ class Cell:
 
     @property
     def block(self) -> Block:
-        """What methods are ranked within."""
+        """The block within which methods are ranked."""
         return self.scene, self.style
 
 
@@ -113,7 +113,7 @@ def better_of(runs: Sequence[Run], column: str) -> str:
 
 
 def standings_of(cells: Sequence[Cell], better: Mapping[str, str]) -> list[Standing]:
-    """Rank the methods by each column that has a better end, over the blocks in which all of them can be compared."""
+    """Rank the methods by each column that has a better direction, over the blocks in which all can be compared."""
     methods = list(dict.fromkeys(cell.method for cell in cells))
     found = []
     for column, end in better.items():
@@ -180,7 +180,7 @@ def fronts_of(cells: Sequence[Cell], better: Mapping[str, str]) -> dict[str, Fro
         standings = standings_of([cell for cell in cells if cell.block in shared], ends)
         at = {(one.method, one.column): one.relative for one in standings}
         points = {method: (at[method, column], at[method, STYLE]) for method in methods if (method, column) in at}
-        sign = -1.0 if better[column] == "higher" else 1.0  # the front takes costs, of which less is better
+        sign = -1.0 if better[column] == "higher" else 1.0  # the front expects costs, where less is better
         front = pareto_front([sign * x for x, _ in points.values()], [y for _, y in points.values()], False)
         if points:
             found[column] = Front(points, tuple([*points][index] for index in front))

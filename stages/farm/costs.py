@@ -1,4 +1,4 @@
-"""What jobs cost: seconds, peak memory and disk, from stages measured before and from those that stand."""
+"""The cost of jobs: seconds, peak memory and disk, from earlier measurements and from finished stages."""
 
 import json
 import statistics
@@ -23,7 +23,7 @@ LEAST_MB = 256.0
 class Rate:
     """The cost of a rule.
 
-    Seconds are `seconds`, and of a budget `share` of its time or `step_seconds` a step, and `frame_seconds` a frame;
+    Seconds are `seconds`, plus `share` of a time budget or `step_seconds` per step, plus `frame_seconds` per frame;
     disk_mb and frame_disk_mb likewise. peak_mb: the most memory, 1 MB = 1e6 bytes.
     """
 
@@ -38,7 +38,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Cost:
-    """The cost of a job. seconds: of wall time on the table's threads, with the start of the process."""
+    """The cost of a job. seconds: wall time on the table's threads, including the start of the process."""
 
     seconds: float
     peak_mb: float
@@ -65,7 +65,7 @@ class Costs:
 
 
 def shipped_costs() -> Costs:
-    """Return the costs that were measured for this version."""
+    """Return the costs measured for this version."""
     content = json.loads(files("stages.farm").joinpath("costs.json").read_bytes())
     rates = {rule: Rate(**rate) for rule, rate in content["rules"].items()}
     return Costs(content["start_seconds"], rates, content["from"])
@@ -74,7 +74,8 @@ def shipped_costs() -> Costs:
 def corrected(costs: Costs, out: Path, jobs: Mapping[str, Job]) -> Costs:
     """Correct the costs by the jobs of a table that are done: medians of time and disk, the maximum of memory.
 
-    All parts of a rate are scaled alike, so that jobs of other budgets profit too. Unreadable artifacts are left out.
+    All parts of a rate are scaled alike, so that jobs with other budgets benefit too. Unreadable artifacts are left
+    out.
     """
     found: dict[str, list[tuple[Job, Manifest]]] = defaultdict(list)
     for job in jobs.values():

@@ -1,4 +1,4 @@
-"""Snakemake: how it is called for a table."""
+"""Calls Snakemake for a table."""
 
 import importlib.util
 import os
@@ -20,7 +20,7 @@ GRACE_SECONDS = 60.0  # for running jobs to save a checkpoint after an interrupt
 
 
 def refuse_missing(profile: str) -> None:
-    """Raise OutOfResources if Snakemake, or its part for Slurm, is not installed."""
+    """Raise OutOfResources if Snakemake, or its Slurm plugin, is not installed."""
     for module, package in PACKAGES.items():
         if (profile == "slurm" or module == "snakemake") and importlib.util.find_spec(module) is None:
             raise OutOfResources(
@@ -44,7 +44,7 @@ def command_of(config: FarmConfig, out: Path, cores: int, memory_mb: int, contai
     command = [
         sys.executable, "-P", "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--directory", str(out),
         "--profile", profile,
-        # This folder's own lock keeps a second Snakemake out; that of Snakemake would stay after a kill.
+        # Our own lock of the folder keeps a second Snakemake out; Snakemake's lock would remain after a kill.
         "--nolock", "--rerun-incomplete", "--rerun-triggers", "mtime", "params", "--retries", str(config.retries),
         *(here if config.profile == "local" else ["--jobs", str(config.jobs)]),
         *(["--software-deployment-method", "apptainer"] if container else []),
@@ -60,7 +60,7 @@ def run_engine(command: Sequence[str], lock: Lock, quiet: bool) -> int:
 
     Args:
         lock: of the table's folder. It is held until Snakemake itself has ended, also if this process is killed.
-        quiet: drop what Snakemake says, which is progress and goes to stderr.
+        quiet: discard Snakemake's output, which is progress on stderr.
     """
     stream = subprocess.DEVNULL if quiet else 2
     child = subprocess.Popen(
@@ -75,7 +75,7 @@ def run_engine(command: Sequence[str], lock: Lock, quiet: bool) -> int:
 
 
 def _end(child: "subprocess.Popen[bytes]") -> None:
-    """Interrupt Snakemake and its jobs, wait for them, and end what does not stop."""
+    """Interrupt Snakemake and its jobs, wait for them, and kill what does not stop."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
         try:
             os.killpg(child.pid, number)

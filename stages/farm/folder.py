@@ -1,4 +1,4 @@
-"""The folder of a table: what is written in it before and read from it after Snakemake ran.
+"""The folder of a table: what is written to it before Snakemake runs and read from it afterwards.
 
     OUT/<scene>/                   the work folder of a scene
     OUT/farm/jobs.json             the jobs, as the Snakefile reads them
@@ -37,7 +37,7 @@ LAST = 2000  # characters of a log that may hold the reason of a failure
 
 @dataclass(frozen=True)
 class Failure:
-    """A job that failed, and how many others wait for it in vain."""
+    """A job that failed, and how many other jobs it blocks."""
 
     key: str
     why: str
@@ -55,19 +55,19 @@ def copy_of(out: Path, key: str) -> Path:
 
 
 def finished(out: Path, jobs: Mapping[str, Job]) -> set[str]:
-    """Return the keys of the jobs whose artifacts stand; nothing is written."""
+    """Return the keys of the jobs whose artifacts are finished; nothing is written."""
     return {key for key, job in jobs.items() if _stands(out, job)}
 
 
 def sweep_copies(out: Path, jobs: Mapping[str, Job]) -> None:
-    """Delete copies of manifests whose artifacts were deleted or made again by hand, so that their jobs run again."""
+    """Delete copies of manifests whose artifacts were deleted or rebuilt manually, so that their jobs run again."""
     for key, job in jobs.items():
         if not _stands(out, job):
             copy_of(out, key).unlink(missing_ok=True)
 
 
 def forget_results(out: Path) -> None:
-    """Delete what earlier runs said of their jobs, so that failures are those of this run."""
+    """Delete the results and logs of earlier runs, so that failures are those of this run."""
     shutil.rmtree(farm_folder(out) / "results", ignore_errors=True)
 
 
@@ -92,7 +92,7 @@ def write_jobs(table: Table, jobs: Mapping[str, Job], costs: Mapping[str, Cost],
                 "command": shlex.join([*program, *job.argv, *more]),
                 "manifest": job.manifest,
                 "after": list(job.after),
-                # Without a missing one: its job names the fault, while Snakemake would refuse the whole table.
+                # Without missing ones: their job reports the error, while Snakemake would reject the whole table.
                 "files": [str(file) for file in job.files if file.exists()],
                 "mem_mb": math.ceil(costs[key].peak_mb * MEMORY_FACTOR),
                 "minutes": math.ceil(costs[key].seconds * RUNTIME_FACTOR / 60) + 5,
@@ -107,7 +107,7 @@ def write_jobs(table: Table, jobs: Mapping[str, Job], costs: Mapping[str, Cost],
 
 
 def failures(out: Path, jobs: Mapping[str, Job]) -> list[Failure]:
-    """Return the jobs that do not stand although all that they wait for do, with the reason that they gave."""
+    """Return the unfinished jobs whose prerequisites are all finished, with the reason that they gave."""
     there = finished(out, jobs)
     behind: dict[str, set[str]] = {}
     for key, job in jobs.items():  # each after those that it waits for
@@ -132,4 +132,4 @@ def _why(out: Path, key: str) -> str:
         if lines and "error" in lines[-1].lower():
             return printable(lines[-1])
         return f"it was killed or lost; see {log}"
-    return "it was not run, or never began; see Snakemake's own messages"
+    return "it never started; see Snakemake's messages"

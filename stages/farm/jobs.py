@@ -28,8 +28,8 @@ class Job:
         kind, name: the artifact that it makes.
         argv: of `stylerf`, without the program; threads and memory are added by whoever runs it.
         after: keys of the jobs that it waits for.
-        files: files and folders outside that it reads.
-        method: of a stylization or the like; empty for others.
+        files: external files and folders that it reads.
+        method: of a stylization or edit; empty for others.
         budget: training time or number of steps, empty for none.
         frames: number of frames that it renders, 0 for unknown or none.
     """
@@ -47,7 +47,7 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Its artifact's place below the table's folder."""
+        """The artifact's path below the table's folder."""
         return f"{self.scene}/{self.kind}/{self.name}"
 
     @property
@@ -58,7 +58,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Axes:
-    """The place of a field in the table. style, method: empty for a fit. An edit is a style by method `edit`."""
+    """The position of a field in the table. style, method: empty for a fit. An edit is a style with method `edit`."""
 
     scene: str
     style: str
@@ -115,7 +115,8 @@ def _of_seed(table: Table, scene: Scene, seed: int, first: str) -> Iterator[Job]
             (DEFORM, work, "--of", fit.name, "--name", f"fit-deformed-s{seed}", *flags_of(scene.deform)), (fit.key,),
         )  # fmt: skip
         yield deformed
-        # Stylizations are compared with the field before them, whose frames would else be rendered by several at once.
+        # Stylizations are compared with the field before them, whose frames several jobs would otherwise render at
+        # once.
         before[DEFORM] = (deformed, (yield from _measured(scene, deformed, ())))
     for style, file in table.styles.items():
         for method, config in table.methods.items():
@@ -139,7 +140,7 @@ def _of_seed(table: Table, scene: Scene, seed: int, first: str) -> Iterator[Job]
 
 
 def _shown(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, None, tuple[str, ...]]":
-    """Renders in shards, then joined, and the evaluation, which takes these frames if it can; return its key."""
+    """Add renders in shards, their join, and the evaluation, which uses these frames if it can; return its key."""
     frames = tuple(_rendered(scene, field))
     yield from frames
     return (yield from _measured(scene, field, (*also, *(job.key for job in frames[-1:]))))
@@ -156,7 +157,7 @@ def _rendered(scene: Scene, field: Job) -> Iterator[Job]:
     for index in range(scene.shards if scene.shards > 1 else 0):
         low, high = (place * count // scene.shards for place in (index, index + 1))
         part = f"{low}-{high - 1}"
-        # A video is of all frames.
+        # A video needs all frames.
         flags = flags_of(replace(config, frames=part, video=False, fps=RenderConfig.fps))
         shards.append(
             Job(SHARD, scene.name, "frames", f"{whole}-{part}", (*command, "--name", f"{whole}-{part}", *flags),
@@ -180,7 +181,7 @@ def _measured(scene: Scene, field: Job, also: Iterable[str]) -> "Generator[Job, 
     if config is None:
         return ()
     along = ("--path", scene.path) if scene.path else ()
-    # Fits and edits refuse what only a stylization can be measured by, and the others what only an edit can be.
+    # Fits and edits reject options that only stylizations have, and stylizations those that only edits have.
     if field.rule != STYLIZE:
         config = replace(config, ceiling=0, reference=())
     if field.rule != EDIT:

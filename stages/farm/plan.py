@@ -1,4 +1,4 @@
-"""The plan of a table: how many jobs, how long they take on so many cores, how much disk they fill."""
+"""The plan of a table: how many jobs, how long they take on a number of cores, how much disk they need."""
 
 import heapq
 from collections import defaultdict
@@ -11,7 +11,7 @@ from stages.farm.jobs import RULES, Job
 
 @dataclass(frozen=True)
 class PlannedRule:
-    """Jobs of one rule: how many, how many of them stand, and seconds, memory and disk of those to do."""
+    """Jobs of one rule: how many, how many are finished, and seconds, memory and disk of the remaining ones."""
 
     rule: str
     jobs: int
@@ -26,7 +26,7 @@ class Plan:
     """A plan.
 
     Attributes:
-        wall_seconds: of all jobs to do on `cores`, each as soon as cores and what it waits for allow.
+        wall_seconds: of all remaining jobs on `cores`, each started as soon as cores and its prerequisites allow.
         longest_seconds: of the longest chain of jobs, which no number of cores shortens.
         work_seconds: the sum over jobs.
     """
@@ -41,13 +41,13 @@ class Plan:
 
     @property
     def to_do(self) -> int:
-        """Jobs that do not stand yet."""
+        """Jobs that are not finished yet."""
         return sum(one.jobs - one.finished for one in self.rules)
 
 
 def plan_of(jobs: Mapping[str, Job], costs: Mapping[str, Cost], finished: Collection[str], cores: int, threads: int
             ) -> Plan:  # fmt: skip
-    """Plan the jobs that do not stand.
+    """Plan the unfinished jobs.
 
     Args:
         jobs: by key, each after those that it waits for.
@@ -79,7 +79,7 @@ def plan_of(jobs: Mapping[str, Job], costs: Mapping[str, Cost], finished: Collec
 
 
 def _makespan(jobs: Mapping[str, Job], costs: Mapping[str, Cost], places: int) -> float:
-    """Seconds until all jobs are done, `places` at a time, the first of the ready ones first (list scheduling)."""
+    """Return the seconds until all jobs are done, `places` at a time, in order of readiness (list scheduling)."""
     waiting = {key: sum(one in jobs for one in job.after) for key, job in jobs.items()}
     waiters = defaultdict(list)
     for key, job in jobs.items():

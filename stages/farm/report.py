@@ -1,4 +1,4 @@
-"""The report over a table: what `compare` writes of its runs, and table.html, table.csv, table.json by its axes."""
+"""The report on a table: what `compare` writes about its runs, and table.html, table.csv, table.json by its axes."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -42,7 +42,7 @@ def written_report(table: Table) -> dict[str, Any]:
     """Write compare.html and table.html with their data to OUT/report; return where they are and what is missing.
 
     Raises:
-        ArtifactStale: no scene of the table holds a field.
+        ArtifactStale: no scene of the table contains a field.
     """
     works = [WorkFolder(table.out / scene.name) for scene in table.scenes]
     works = [work for work in works if work.artifacts("field")]
@@ -52,7 +52,7 @@ def written_report(table: Table) -> dict[str, Any]:
     compared(works, out)
     axes = fields_of(table)
     runs, _ = runs_of(works)
-    # runs_of labels works by their folders' names, which are the scenes' names.
+    # runs_of labels work folders by name, which are the scenes' names.
     known = [(run, axes[run.work, run.name]) for run in runs if (run.work, run.name) in axes]
     stylized = [(run, at) for run, at in known if run.family == STYLIZATIONS and at.method != EDIT]
     styles = _ranking(stylized, COLUMNS)
@@ -83,7 +83,7 @@ def written_report(table: Table) -> dict[str, Any]:
             "table.html",
             name=table.file.name,
             summary=f"{len(table.scenes)} scenes, {len(table.styles)} styles, {len(table.methods)} methods, "
-            f"{len(table.seeds)} seeds: {len(known)} of {len(axes)} fields stand.",
+            f"{len(table.seeds)} seeds: {len(known)} of {len(axes)} fields are finished.",
             styles=_shown(styles),
             edits=_shown(edits),
             chart=chart,
@@ -105,7 +105,7 @@ class Ranking:
 
 
 def _of_any_seed(run: Run, seed: int) -> Run:
-    """The run with protocols that name the field before the edit without its seed, so that they agree over seeds."""
+    """Return the run with protocols that omit the seed of the field before the edit, so that seeds agree."""
     metrics = {key: replace(one, protocol=one.protocol.replace(f"-s{seed}", "")) for key, one in run.metrics.items()}
     return replace(run, metrics=metrics)
 
@@ -134,7 +134,7 @@ def _digits(column: str) -> int:
 
 
 def _shown(ranking: Ranking) -> dict[str, Any]:
-    """What the page shows of a ranking: its columns and their heads, ranks by method, cells as "mean ± spread"."""
+    """Return what the page shows of a ranking: columns with headings, ranks by method, cells as "mean ± spread"."""
     columns = [column for column in ranking.better if any(column in cell.values for cell in ranking.cells)]
     cells = [
         {
@@ -184,20 +184,20 @@ def _rows(ranking: Ranking, columns: Sequence[str]) -> list[Row]:
 
 
 def _fields_missing(table: Table, known: Sequence[tuple[Run, Axes]]) -> list[Gap]:
-    """Fields that were not made, scene by scene."""
+    """Return the missing fields, scene by scene."""
     there = {(at.scene, run.name) for run, at in known}
     gaps = []
     fields = [job for job in jobs_of(table).values() if job.kind == "field" and job.rule != "deform"]
     for scene in table.scenes:
         lost = [job.name for job in fields if job.scene == scene.name and (job.scene, job.name) not in there]
         if lost:
-            gaps.append(Gap(f"{scene.name}: {len(lost)} fields", f"Not made: {', '.join(lost[:8])}"
+            gaps.append(Gap(f"{scene.name}: {len(lost)} fields", f"Missing: {', '.join(lost[:8])}"
                             + (" ..." if len(lost) > 8 else "")))  # fmt: skip
     return gaps
 
 
 def _values_missing(cells: Sequence[Cell], columns: Sequence[str]) -> list[Gap]:
-    """Columns that a cell lacks, or has of some seeds only."""
+    """Return the columns that a cell lacks, or has for some seeds only."""
     gaps = []
     for cell in cells:
         short = [column for column in columns
@@ -212,7 +212,7 @@ def _values_missing(cells: Sequence[Cell], columns: Sequence[str]) -> list[Gap]:
 def _sheet(
     table: Table, runs: Sequence[Run], works: Sequence[WorkFolder], axes: Mapping[tuple[str, str], Axes]
 ) -> tuple[list[SheetRow], list[Gap]]:
-    """One row per scene and style: the photo, the style image, and the first seed of every method, at one view."""
+    """Return one row per scene and style: the photo, the style image, and each method's first seed, in one view."""
     first = table.seeds[0]
     stylized = {key for key, at in axes.items() if at.method not in ("", EDIT) and at.seed == first}
     wanted = [run for run in runs if (run.work, run.name) in stylized]
@@ -250,7 +250,7 @@ def _pictures(
 
 
 def _chart(fronts: Mapping[str, Front], labels: Mapping[str, str]) -> Chart | None:
-    """Style against each other column, one mark per method; None without two methods that have both."""
+    """Chart style against each other column, one mark per method; None unless two methods have both."""
     columns = [column for column, front in fronts.items() if len(front.points) > 1]
     if not columns:
         return None

@@ -1,4 +1,4 @@
-"""Run a table: check, plan, call Snakemake, name what failed."""
+"""Run a table: check, plan, call Snakemake, report what failed."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -44,19 +44,19 @@ class Farm:
         return {key: self.costs.of(job) for key, job in self.jobs.items()}
 
     def plan(self, cores: int) -> Plan:
-        """Plan what does not stand yet."""
+        """Plan what is not finished yet."""
         there = finished(self.table.out, self.jobs)
         return plan_of(self.jobs, self.cost_of, there, cores, self.table.threads)
 
 
 def farm_of(table: Table) -> Farm:
-    """Return the jobs of a table, priced by what its folder has measured already."""
+    """Return the jobs of a table, with costs corrected by what its folder has already measured."""
     jobs = jobs_of(table)
     return Farm(table, jobs, corrected(shipped_costs(), table.out, jobs))
 
 
 def planned(farm: Farm, cores: int) -> dict[str, Any]:
-    """Return the plan for so many cores as plain values."""
+    """Return the plan for this number of cores as plain values."""
     plan = farm.plan(cores)
     return {
         "table": farm.table.file,
@@ -78,20 +78,20 @@ def run_table(
     quiet: bool = False,
     report: Callable[[], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Run the jobs that are not finished; return how many are now, and what failed.
+    """Run the unfinished jobs; return how many are finished now, and what failed.
 
     Args:
         farm: the table and its jobs.
         config: where jobs run.
         cores, memory_mb: what jobs on this machine may use at once.
-        no_paths: record files outside by name alone.
-        quiet: drop what Snakemake says.
+        no_paths: record external files by name only.
+        quiet: discard Snakemake's output.
         report: writes the report over the finished jobs; not called in a dry run or without any field.
 
     Raises:
-        JobsFailed: a job failed. What does not wait for it was run, and the report written.
-        OutOfResources: Snakemake is not installed, or another run holds the folder.
-        UsageError: Snakemake could not begin.
+        JobsFailed: a job failed. Jobs that do not depend on it were run, and the report was written.
+        OutOfResources: Snakemake is not installed, or another run locks the folder.
+        UsageError: Snakemake could not start.
     """
     refuse_missing(config.profile)
     out = farm.table.out
@@ -104,8 +104,8 @@ def run_table(
             raise
         holder = str(error).partition("(")[2].partition(")")[0]
         raise OutOfResources(
-            f"{out} is being filled by another `stylerf farm` (process {holder}); wait for it to end, or give the "
-            "table another `out`"
+            f"{out} is in use by another `stylerf farm` (process {holder}); wait for it to finish, or give the table "
+            "another `out`"
         ) from error
     try:
         sweep_copies(out, farm.jobs)
@@ -127,7 +127,7 @@ def _outcome(
     result: dict[str, Any] = {"table": farm.table.file, "out": out, "jobs": len(farm.jobs), "finished": len(there)}
     if config.dry_run:
         if code:
-            raise UsageError(f"Snakemake refused the run (exit code {code}); its messages are above")
+            raise UsageError(f"Snakemake could not start the run (exit code {code}); see its messages above")
         return result
     failed = failures(out, farm.jobs)
     result["failed"] = [asdict(one) for one in failed]
@@ -137,7 +137,7 @@ def _outcome(
         except StylerfError as error:
             if not failed:
                 raise
-            result["report_fault"] = str(error)  # why jobs failed matters more, and is said below
+            result["report_fault"] = str(error)  # why jobs failed matters more, and is reported below
     if failed:
         blocked = len(farm.jobs) - len(there) - len(failed)
         waiting = f", {blocked} wait for them" if blocked else ""

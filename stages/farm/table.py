@@ -20,8 +20,8 @@ from stages.configs.stylize import refuse_foreign
 from stages.farm.yaml_file import read_yaml
 from stylerf.geometry.camera_paths import PATHS
 
-# Builds a config of a class from a mapping of options; the text names the mapping in errors, the classes are those
-# whose options are ignored. UsageError for anything wrong.
+# Builds a config of a class from a mapping of options; the text names the mapping in errors; options of the other
+# classes are ignored. UsageError for anything invalid.
 Build = Callable[[type, Mapping[str, Any], str, tuple[type, ...]], Any]
 
 METHODS = tuple(METHOD_CONFIGS)  # those with a style image
@@ -32,10 +32,10 @@ STYLIZE, EDITS = "stylize", "edits"
 KEYS = (
     "out", "scenes", "styles", "methods", EDITS, "seeds", "threads", "device", "container", STYLIZE, *VERBS,
 )  # fmt: skip
-RESERVED = ("farm", "report")  # folders of the table beside those of its scenes
+RESERVED = ("farm", "report")  # folders of the table besides those of its scenes
 MOST_SEEDS, LARGEST_SEED, MOST_THREADS, MOST_SHARDS = 1000, 2**32 - 1, 1024, 10_000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+]*(-[A-Za-z0-9._+]+)*")
-_IMAGE = re.compile(r"[A-Za-z0-9._:/@+-]{0,300}")  # it ends up in shell commands of Snakemake's
+_IMAGE = re.compile(r"[A-Za-z0-9._:/@+-]{0,300}")  # it ends up in Snakemake's shell commands
 LONGEST = 30  # characters of a name, so that a field can be called after a style, a method and a seed
 DEVICES = ("cpu", "cuda", "auto")
 
@@ -87,7 +87,7 @@ class TableFaults(UsageError):
 
 @dataclass
 class _Checks:
-    """Collects faults, so that one reading names them all."""
+    """Collects faults, so that all are reported at once."""
 
     file: Path
     build: Build
@@ -97,7 +97,7 @@ class _Checks:
         self.faults.append(f"{where} {what}".strip())
 
     def mapping(self, value: object, where: str) -> dict[str, Any]:
-        """The value if it is a mapping with text as keys, else {} and a fault; nothing stands for {}."""
+        """Return the value if it is a mapping with text keys, else {} and a fault; an empty value means {}."""
         if value is None:
             return {}
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
@@ -106,7 +106,7 @@ class _Checks:
         return value
 
     def names(self, value: object, where: str) -> Iterator[tuple[str, Any]]:
-        """The items of a mapping whose keys can name artifacts."""
+        """Return the items of a mapping whose keys can name artifacts."""
         for name, item in self.mapping(value, where).items():
             if len(name) > LONGEST or not _NAME.fullmatch(name):
                 self.fault(f"{where}:", f"{name!r} is not a valid name; expected up to {LONGEST} letters, digits, "
@@ -115,7 +115,7 @@ class _Checks:
                 yield name, item
 
     def config(self, config: type, options: Mapping[str, Any], where: str, others: tuple[type, ...] = ()) -> Any:
-        """The config, or None and a fault."""
+        """Return the config, or None and a fault."""
         try:
             return self.build(config, self.placed(config, options), where, others)
         except (StylerfError, ValueError) as error:
@@ -137,7 +137,7 @@ class _Checks:
         return found
 
     def located(self, value: object) -> object:
-        """An option that names a file or folder, or a list of VIEW=FILE, made absolute if they are there."""
+        """Make an option that names a file or folder, or a list of VIEW=FILE, absolute if it exists."""
         if isinstance(value, list):
             return [self._located_of_view(one) for one in value]
         if not isinstance(value, str) or not value or value in PATHS or not self.path(value).exists():
@@ -151,25 +151,25 @@ class _Checks:
         return f"{view}={self.located(file)}"
 
     def path(self, text: str) -> Path:
-        """A path of the table, relative to its folder."""
+        """Return a path from the table, which is relative to its folder."""
         return (self.file.parent / Path(text).expanduser()).resolve()
 
     def outside(self, text: str, where: str) -> Path:
-        """The path of a file or folder that Snakemake watches, with a fault if it could not."""
+        """Return the path of a file or folder that Snakemake watches, with a fault if it cannot."""
         found = self.path(text)
         if {"{", "}"} & {*str(found)}:
-            self.fault(where, f"is {_shown(str(found))}; Snakemake takes braces for wildcards: rename or link it")
+            self.fault(where, f"is {_shown(str(found))}; Snakemake treats braces as wildcards: rename or link it")
         return found
 
     def whole(self, value: object, where: str, low: int, high: int, default: int) -> int:
-        """A whole number in a range, else the default and a fault."""
+        """Return a whole number in a range, else the default and a fault."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             self.fault(where, f"is {_shown(value)}; expected a whole number from {low} to {high}")
             return default
         return value
 
     def choice(self, value: object, where: str, known: tuple[str, ...]) -> str:
-        """One of the known words, else the first and a fault."""
+        """Return one of the known words, else the first and a fault."""
         if value not in known:
             self.fault(where, f"is {_shown(value)}; expected one of {', '.join(known)}")
             return known[0]
@@ -184,7 +184,7 @@ def read_table(file: Path, build: Build) -> Table:
         build: checks options as the command line does.
 
     Raises:
-        TableFaults: anything in it is wrong.
+        TableFaults: anything in it is invalid.
         UsageError: it cannot be read.
     """
     content = read_yaml(file)
@@ -193,7 +193,7 @@ def read_table(file: Path, build: Build) -> Table:
     checks = _Checks(file, build)
     for key in content:
         if key not in KEYS:
-            checks.fault("", f"there is no key {_shown(key)}; known are {', '.join(KEYS)}")
+            checks.fault("", f"unknown key {_shown(key)}; choose from {', '.join(KEYS)}")
     scenes = _scenes(checks, content)
     styles = _styles(checks, content.get("styles"))
     methods = _methods(checks, content, bool(styles))
@@ -212,7 +212,7 @@ def read_table(file: Path, build: Build) -> Table:
     device = checks.choice(content.get("device", "cpu"), "device", DEVICES)
     place = checks.path(out)
     if place == file.parent.resolve():
-        checks.fault("out", "is the folder of the table; expected one of its own")
+        checks.fault("out", "is the folder of the table; expected a separate one")
     if checks.faults:
         raise TableFaults(file, checks.faults)
     return Table(file.resolve(), place, scenes, styles, methods, edits, seeds, threads, device, container)
@@ -225,13 +225,13 @@ def _scenes(checks: _Checks, content: Mapping[str, Any]) -> tuple[Scene, ...]:
         where = f"scenes: {name}"
         own = {"source": given} if isinstance(given, str) else checks.mapping(given, where)
         if name in RESERVED:
-            checks.fault(where, "is the name of a folder that the table itself fills; choose another")
+            checks.fault(where, "is a reserved folder name; choose another")
         for key in own:
             if key not in ("source", *VERBS):
-                checks.fault(where, f"has no key {_shown(key)}; known are source, {', '.join(VERBS)}")
+                checks.fault(where, f"has unknown key {_shown(key)}; choose from source, {', '.join(VERBS)}")
         source = own.get("source")
         if not isinstance(source, str) or not source:
-            checks.fault(where, "has no source; expected the folder or file of its photos")
+            checks.fault(where, "has no source; give the folder or file of its photos")
             continue
         options = {verb: {**shared[verb], **_verb_options(checks, own.get(verb), f"{where}: {verb}")} for verb in VERBS}
         rendered = "render" in own or content.get("render") is not None
@@ -257,13 +257,13 @@ def _scene(
     if not isinstance(path, str) or path in OWN_VIEWS:
         checks.fault(f"{where} eval: path", f"is {_shown(path)}; expected a camera path such as orbit or spiral")
         path = ""
-    # Regions are those of the edits that happen to be finished: a picture must not depend on the order of jobs.
+    # The regions would be those of edits that happen to be finished: a picture must not depend on the order of jobs.
     options["render"].setdefault("regions", False)
     options["fit"].setdefault("buffers", False)
     render = checks.config(RenderConfig, options["render"], f"{where} render") if rendered else None
     if render is not None:
         if render.frames:
-            checks.fault(f"{where} render:", "frames splits a path by hand; give shards: N")
+            checks.fault(f"{where} render:", "frames splits a path manually; use shards: N")
         if shards > 1 and (render.path not in PATHS or shards > render.count):
             checks.fault(f"{where} render:", f"{shards} shards need an orbit, a spiral or an interpolated path of at "
                          "least as many frames")  # fmt: skip
@@ -296,7 +296,7 @@ def _methods(checks: _Checks, content: Mapping[str, Any], styled: bool) -> dict[
     given = content.get("methods", {"arf": {}} if styled else {})
     shared = checks.mapping(content.get(STYLIZE), STYLIZE)
     if given and not styled and not checks.faults:
-        checks.fault("methods", "stylize nothing without styles; add styles: NAME: FILE")
+        checks.fault("methods", "need a style image; add styles: NAME: FILE")
     found = {}
     for name, options in checks.names(given, "methods"):
         where = f"methods: {name}"
@@ -315,7 +315,7 @@ def _methods(checks: _Checks, content: Mapping[str, Any], styled: bool) -> dict[
             continue
         config = METHOD_CONFIGS[method]
         kind = {} if method == config.method else {"method": method}
-        placeholder = {"style": "STYLE"}  # known when a job is made of it; some methods refuse to do without
+        placeholder = {"style": "STYLE"}  # known when a job is created; some methods require it
         if checks.config(config, {**own, **kind, **placeholder}, where) is None:
             continue
         others = tuple(METHOD_CONFIGS.values())
@@ -340,14 +340,14 @@ def _seeds(checks: _Checks, value: object) -> tuple[int, ...]:
         return (0,)
     found = [checks.whole(one, "seeds:", 0, LARGEST_SEED, 0) for one in value]
     if len({*found}) < len(found) and not checks.faults:
-        checks.fault("seeds", f"is {_shown(value)}; each may be there once")
+        checks.fault("seeds", f"is {_shown(value)}; list each seed once")
     return tuple(found)
 
 
 def _refuse_equal_fields(
     checks: _Checks, styles: Mapping[str, Any], methods: Mapping[str, Any], edits: Mapping[str, Any]
 ) -> None:
-    """Two rows whose fields would have one name: style a-b by c and style a by b-c."""
+    """Reject rows whose fields would have the same name, such as style a-b by c and style a by b-c."""
     seen: dict[str, str] = {"fit": "the fit", "fit-deformed": "the deformed fit"}
     rows = [(f"{style}-{method}", f"style {style} by {method}") for style in styles for method in methods]
     for name, what in [*rows, *((f"edit-{name}", f"edit {name}") for name in edits)]:

@@ -1,4 +1,4 @@
-"""Read YAML that strangers may have written: plain values only, each key once, no aliases, bounded size and depth."""
+"""Reads untrusted YAML: plain values only, each key once, no aliases, bounded size and depth."""
 
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,12 @@ DEEPEST = 20  # levels
 
 
 def read_yaml(path: Path) -> Any:
-    """Return what a YAML file holds.
+    """Return the content of a YAML file.
 
-    YAML lets a later key replace an earlier one silently, and aliases grow a file exponentially; both are refused.
+    YAML lets a later key silently replace an earlier one, and aliases can grow a file exponentially; both are rejected.
 
     Raises:
-        UsageError: it is missing, is not YAML, or holds such things.
+        UsageError: it is missing, is not YAML, or contains such constructs.
         OutOfResources: the extra `farm` is not installed.
     """
     try:
@@ -28,13 +28,13 @@ def read_yaml(path: Path) -> Any:
         ) from None
 
     class Loader(yaml.SafeLoader):
-        """Safe values, checked on the way."""
+        """Constructs safe values and checks them."""
 
         depth = 0
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
-                raise yaml.constructor.ConstructorError(None, None, "aliases (*name) are not taken", self._mark())
+                raise yaml.constructor.ConstructorError(None, None, "aliases (*name) are not supported", self._mark())
             self.depth += 1
             if self.depth > DEEPEST:
                 raise yaml.constructor.ConstructorError(None, None, "it is nested too deeply", self._mark())
@@ -50,11 +50,11 @@ def read_yaml(path: Path) -> Any:
             for key, _ in node.value if isinstance(node, yaml.MappingNode) else ():
                 if not isinstance(key, yaml.ScalarNode):
                     raise yaml.constructor.ConstructorError(
-                        None, None, "a key is a list or mapping; quote text that holds braces", key.start_mark
+                        None, None, "a key is a list or mapping; quote text that contains braces", key.start_mark
                     )
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
-                        None, None, f"{printable(str(key.value))!r} is there twice", key.start_mark
+                        None, None, f"{printable(str(key.value))!r} occurs twice", key.start_mark
                     )
                 seen.add(key.value)
             return super().construct_mapping(node, deep)
@@ -63,8 +63,8 @@ def read_yaml(path: Path) -> Any:
         text = read_text(path, LARGEST, UsageError)
         return yaml.load(text, Loader)
     except FileNotFoundError:
-        raise UsageError(f"{path}: there is no such table") from None
-    # The last four: what PyYAML's constructors raise for tags on values that do not fit them, such as `!!int ""`.
+        raise UsageError(f"{path}: table not found") from None
+    # The last four are raised by PyYAML's constructors for tags on values that do not fit, such as `!!int ""`.
     except (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""

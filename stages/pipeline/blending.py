@@ -1,4 +1,4 @@
-"""Blends of fields, and the field that others were made from."""
+"""Blends of fields, and the field that others are derived from."""
 
 from dataclasses import replace
 
@@ -31,33 +31,35 @@ def blended(runner: StageRunner, config: BlendConfig, request: Request) -> Artif
     ]
     try:
         config = BlendConfig(tuple(map(text_of, named)))
-    except ValueError as error:  # two abbreviations of one name
+    except ValueError as error:  # two abbreviations of the same name
         raise UsageError(str(error)) from error
     name = "+".join(dict.fromkeys(f"{part.field}.{part.region}" if part.region else part.field for part in named))
     return runner.run(blend.SPEC, blend.run, inputs, config, name, request)
 
 
 def source_of(work: WorkFolder, field: Artifact, option: str) -> Artifact:
-    """Return the field that `field` was made from; one that was only bent for it is passed over.
+    """Return the field that `field` was made from; one that was only deformed for it is skipped.
 
-    option: of the command line, for the message.
+    option: the command-line option, for the message.
 
     Raises:
-        UsageError: it was made from no other field.
-        ArtifactStale: the field that it was made from is gone or was rebuilt since.
+        UsageError: it is not derived from another field.
+        ArtifactStale: the field that it was made from is missing or was rebuilt since.
     """
     behind = _lineage(work, field)[1:]
     if not behind:
-        raise UsageError(f"{option}: field {field.name} was made from no other field; give a stylized or edited one")
+        raise UsageError(
+            f"{option}: field {field.name} is not derived from another field; give a stylized or edited one"
+        )
     return behind[0]
 
 
 def common_source(work: WorkFolder, fields: list[Artifact]) -> Artifact:
-    """Return the nearest field that all of `fields` were made from, which may be one of several of them.
+    """Return the nearest field that all of `fields` are derived from, which may be one of them.
 
     Raises:
         UsageError: there is none.
-        ArtifactStale: a field on the way to it is gone or was rebuilt since.
+        ArtifactStale: a field on the way to it is missing or was rebuilt since.
     """
     if len({field.digest for field in fields}) == 1:
         return source_of(work, fields[0], "--of")
@@ -66,12 +68,14 @@ def common_source(work: WorkFolder, fields: list[Artifact]) -> Artifact:
     found = next((one for one in lines[0] if one.digest in shared), None)
     if found is None:
         roots = ", ".join(f"{line[0].name} from {line[-1].name}" for line in lines)
-        raise UsageError(f"--of: the fields were not made from one field ({roots}); stylize one field in all styles")
+        raise UsageError(
+            f"--of: the fields are not derived from the same field ({roots}); stylize one field in all styles"
+        )
     return found
 
 
 def _lineage(work: WorkFolder, field: Artifact) -> list[Artifact]:
-    """Return a field and those that it was made from, the nearest first, without those that were only bent."""
+    """Return a field and those that it was made from, nearest first, without those that were only deformed."""
     line = [field]
     while any((ref.kind, ref.role) == ("field", "field") for ref in line[-1].manifest.inputs):
         line.append(input_of(work, line[-1], "field", "field"))

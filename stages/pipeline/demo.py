@@ -1,4 +1,4 @@
-"""The demo: every stage on a procedural still life, with nothing but the installation."""
+"""The demo: every stage on a procedural still life, without any input files."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ MARGIN = 4  # pixels around the object on the contact sheet
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demo made. sheet: the contact sheet, a PNG."""
+    """The demo's results. sheet: the contact sheet, a PNG."""
 
     sheet: Path
     report: Artifact
@@ -29,7 +29,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
     """Import, fit, stylize, render and evaluate the still life.
 
     Raises:
-        UsageError: the work folder holds photos or a scene that the demo has not made.
+        UsageError: the work folder contains photos or a scene that the demo did not create.
     """
     from schemas.canonical_json import file_sha256
     from stages import deform_init, evaluate, nerf_fit, pose_import, render, stylize
@@ -87,7 +87,7 @@ def run_demo(runner: StageRunner, config: DemoConfig, force: bool) -> Demo:
 
 
 def refuse_others(work: WorkFolder, photos: Path) -> None:
-    """Raise UsageError if the demo would replace photos or a scene that it has not made."""
+    """Raise UsageError if the demo would replace photos or a scene that it did not create."""
     from stages.pipeline.demo_scene import STAMP
     from stages.pose_import import digest_of_source
 
@@ -96,12 +96,14 @@ def refuse_others(work: WorkFolder, photos: Path) -> None:
         with suppress(BadInput):  # photos of an interrupted demo
             sources["source_digest"] = digest_of_source(photos)  # the folder may have been moved
     elif photos.is_dir() and any(photos.iterdir()):
-        raise UsageError(f"{photos} was not made by the demo, which writes there; give the demo another work folder")
+        raise UsageError(
+            f"{photos} was not created by the demo, which would overwrite it; give the demo another work folder"
+        )
     for scene in work.artifacts("scene"):
         made = scene.manifest
         if made.stage != "distill" and not any(made.config.get(key) == value for key, value in sources.items()):
             raise UsageError(
-                f"{scene.path} was not made by the demo, which would replace it; give the demo another work folder"
+                f"{scene.path} was not created by the demo, which would replace it; give the demo another work folder"
             )
 
 

@@ -35,7 +35,7 @@ def write_demo(
     """
     wanted = {"size": size, "train_views": train_views, "test_views": test_views, "seed": seed}
     stamp = folder / STAMP
-    with suppress(BadInput, FileNotFoundError):  # a damaged stamp counts as none
+    with suppress(BadInput, FileNotFoundError):  # a damaged stamp is treated as missing
         if read_json(stamp) == wanted:
             return
     make_folder(folder)

@@ -23,7 +23,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 VERBS = ("fit", "finetune")
-RUN = "\n"  # announces a run; cannot be the name of an artifact
+RUN = "\n"  # announces a run; cannot be an artifact's name
 
 
 def launched() -> int:
@@ -80,13 +80,13 @@ def lead(processes: "ProcessGroup", run: "Run", parallel: bool) -> "Run":
 
 
 def release(processes: "ProcessGroup", name: str) -> None:
-    """Tell the followers the name of the artifact that the stage made, so that they go on."""
+    """Send the followers the name of the artifact that the stage made, so that they continue."""
     _reporting_loss(processes.tell, name)
 
 
 def follow(processes: "ProcessGroup", run: "Run", inputs: Any, config: Any, context: Any, root: Path) -> str:
     """Join the stage if the leader runs it; return the name of the artifact."""
-    # A follower writes nothing that has a name; a stage may keep unnamed files for its own run in the work folder.
+    # A follower writes no named files; a stage may keep unnamed files for its own run in the work folder.
     partial: Any = SimpleNamespace(folder=root, path=None, checkpoint=None)
     while (word := processes.tell()) == RUN:
         run(inputs, config, partial, context)
@@ -96,7 +96,7 @@ def follow(processes: "ProcessGroup", run: "Run", inputs: Any, config: Any, cont
 def agree(processes: "ProcessGroup", find: Callable[[], str]) -> str:
     """Return the name that `find` returns in the first process.
 
-    Processes must not look for themselves: by the time one does, the first may have made the next artifact.
+    Processes must not look on their own: by the time one does, the first may have made the next artifact.
     """
     if processes.count == 1:
         return find()
@@ -104,7 +104,7 @@ def agree(processes: "ProcessGroup", find: Callable[[], str]) -> str:
 
 
 def leave_fault(processes: "ProcessGroup", error: BaseException) -> None:
-    """Pass a fault of a follower, which must not print, to the first process. A lost process is no fault of its own."""
+    """Pass a fault of a follower, which must not print, to the first process. A lost process is not passed on."""
     if not processes.first and not isinstance(error, (ProcessLost, KeyboardInterrupt)):
         processes.tell_fault(" ".join(f"{type(error).__name__}: {error}".split())[:500])
 

@@ -48,12 +48,12 @@ def evaluated(
             f"--path {against.path}: the photos' views are too far apart to warp onto each other; give a camera path"
         )
     field = field_named(runner, field_name)
-    # Refuse what cannot work before minutes of rendering.
+    # Reject what cannot work before minutes of rendering.
     given, config = config, pinned(config, field)
     if (against.robust_to or config.reference) and not is_stylized(field):
         raise UsageError(f"--reference and --robust-to need a stylized field; {field.name} is not one")
     if config.ceiling and (against.regions or config.masks):
-        raise UsageError("--ceiling shows whole views beside whole views; leave it out for a local edit")
+        raise UsageError("--ceiling compares whole views; leave it out for a local edit")
     scene = scene_of(runner.work, field)
     if config.reference:
         check_references(config.reference, SceneViews(scene))
@@ -65,11 +65,11 @@ def evaluated(
             runner.say(f"skipping frames {one.name}: {fault}")
     video = None if against.path else newest_video(runner.work, field)
     if config.flow and not against.path and video is None:
-        raise UsageError("--flow belongs to frames along a camera path, and there are none; give --path")
+        raise UsageError("--flow needs frames along a camera path; give --path")
     for line in _unused(given, styled=style_file(given, field) is not None, edit=base is not None,
                         path=bool(against.path) or video is not None):  # fmt: skip
         runner.say(line)
-    # Of the test views first: a scene may have none.
+    # Test views first: a scene may have none.
     inputs = {"scene": scene, "field": field, "frames": frames_along(runner, field, "test")}
     if against.path:
         video = frames_along(runner, field, against.path)
@@ -116,7 +116,7 @@ def _edit_compared(
     if against.base and base is not None and base.name == field.name:
         raise UsageError(f"--base {base.name} is the edited field itself; name the one before the edit")
     if base is None or base.name == field.name:
-        raise UsageError(f"field {field.name} was made from no other field; name the unedited one with --base")
+        raise UsageError(f"field {field.name} is not derived from another field; name the unedited one with --base")
     return base, regions
 
 
@@ -137,8 +137,8 @@ def _edit_inputs(
 def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
     """Return the newest frames of a field along a path that can be measured and have the wanted count, else render.
 
-    Frames that the user rendered are not replaced, even if they cannot be measured. StylerfError if those in the
-    place of new ones cannot be read.
+    Frames that the user rendered are not replaced, even if they cannot be measured. StylerfError if frames that would
+    be replaced cannot be read.
     """
     from stylerf.geometry.camera_paths import PATHS
 
@@ -155,7 +155,7 @@ def frames_along(runner: StageRunner, field: Artifact, path: str) -> Artifact:
     name = shortened_name(f"{field.name}-{label_of(path)}")
     present = next((one for one in runner.work.artifacts("frames") if one.name == name), None)
     if present is not None:
-        _check(present)  # unreadable frames, perhaps of a newer stylerf, are not replaced unasked
+        _check(present)  # unreadable frames, perhaps of a newer stylerf, are not replaced without a request
     # Frames that an earlier stylerf made with the same options are rendered again in their place.
     taken = present is not None and _shows(present, field) and present.manifest.config != plain(wanted)
     return ensure_frames(runner, field, path, f"{name}-eval" if taken else name)
@@ -168,7 +168,7 @@ def newest_video(work: WorkFolder, field: Artifact) -> Artifact | None:
 
 
 def _measurable(work: WorkFolder, field: Artifact) -> list[tuple[Artifact, str, int]]:
-    """Return frames of the present field with their path and count: whole paths at full size and strength, with EXR.
+    """Return frames of the current field with their path and count: whole paths at full size and strength, with EXR.
 
     Frames of another revision of the render stage are left out.
     """
@@ -206,5 +206,5 @@ def _fault_of(frames: Artifact) -> str:
 
 
 def _shows(frames: Artifact, field: Artifact) -> bool:
-    """Whether frames were rendered from the present version of a field."""
+    """Return whether frames were rendered from the current version of a field."""
     return any(ref.kind == "field" and ref.digest == field.digest for ref in frames.manifest.inputs)

@@ -18,7 +18,7 @@ def exported(runner: StageRunner, config: ExportConfig, of: str, request: Reques
     field = prerequisites.field_named(runner, of)
     inputs = {"scene": prerequisites.scene_of(runner.work, field), "field": field}
     by = ("--of", field.name)
-    if config.kind == "cameras":  # those of its scene; how the field looks does not matter
+    if config.kind == "cameras":  # those of its scene; the field's look does not matter
         inputs = {"scene": inputs["scene"]}
     return runner.run(export.SPEC, export.run, inputs, config, _name(field.name, config), request, by)
 

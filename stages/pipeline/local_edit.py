@@ -1,4 +1,4 @@
-"""Local edits: region, edit dataset, learned edit, edited photos, fine-tuned field; each ensures the one before."""
+"""Local edits: region, edit dataset, learned edit, edited photos, fine-tuned field; each ensures its predecessor."""
 
 import shlex
 from dataclasses import dataclass, fields, replace
@@ -69,7 +69,7 @@ def only_one(work: WorkFolder, kind: str, name: str) -> Artifact:
     found = work.artifacts(kind)
     if len(found) > 1:
         names = ", ".join(one.name for one in found)
-        raise UsageError(f"there are several {kind}s: {names}; give --{kind} NAME")
+        raise UsageError(f"several {kind}s found: {names}; give --{kind} NAME")
     return found[0] if found else work.get(kind, kind)
 
 
@@ -91,7 +91,7 @@ def edit_dataset(
     config: ExtractConfig | None = None,
     request: Request | None = None,
 ) -> Artifact:
-    """Render what the views show of a region; the dataset is named as the region.
+    """Render what the views show of a region; the dataset is named after the region.
 
     Args:
         field: the field to render, by default the one the region was selected in.
@@ -116,7 +116,7 @@ def edit_dataset(
 def distilled(
     runner: StageRunner, edit: Artifact, config: DistillConfig | None = None, request: Request | None = None
 ) -> Artifact:
-    """Paint an edit into the photos; the scene is named as the edit. request: None if it is a prerequisite."""
+    """Paint an edit into the photos; the scene is named after the edit. request: None if it is a prerequisite."""
     from stages import distill
 
     if request is None and (made := runner.reusable(distill.SPEC, edit)):
@@ -143,7 +143,7 @@ def finetuned(
     request: Request,
     scene: Artifact | None = None,
 ) -> Artifact:
-    """Train a field on an edit; the result is named as the edit.
+    """Train a field on an edit; the result is named after the edit.
 
     Args:
         field: the field to start from, by default the one the edit was extracted from.
@@ -151,8 +151,8 @@ def finetuned(
         scene: the photos with the edit, made if None.
 
     Raises:
-        UsageError: the edit was painted into pictures of another field, whose looks training would bring back; or the
-            field is a blend.
+        UsageError: the edit was painted into pictures of another field, whose look training would restore; or the field
+            is a blend.
     """
     from stages import finetune
 
@@ -172,7 +172,7 @@ def finetuned(
 def _refuse_blend(field: Artifact) -> None:
     if field.manifest.stage == "blend":
         raise UsageError(
-            f"field {field.name} is a blend, whose colors cannot learn; edit the fields that it mixes, and blend those"
+            f"field {field.name} is a blend, which cannot be trained; edit the fields it mixes, and blend those"
         )
 
 
@@ -183,8 +183,8 @@ def _refuse_other_pictures(work: WorkFolder, field: Artifact, extracted: Artifac
     if not pictured or pictures_of(work, field).digest != input_of(work, dataset, "scene").digest:
         command = shlex.join(["stylerf", "select", str(work.root), "--of", field.name])
         raise UsageError(
-            f"--of {field.name}: the edit was painted into pictures of another field; edit this one from its "
-            f"selection on: {command}"
+            f"--of {field.name}: the edit was painted into pictures of another field; to edit this one, start with "
+            f"its selection: {command}"
         )
 
 
@@ -260,7 +260,7 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     """Run a whole local edit; every artifact of it is called `name`.
 
     Args:
-        config: what is selected and what becomes of it.
+        config: what is selected and how it is edited.
         field_name: the field to edit, by default the current fit of the scene.
         force: rebuild what is up to date.
     """
@@ -268,7 +268,7 @@ def edited(runner: StageRunner, config: WholeEditConfig, field_name: str, name: 
     from stages.run.runner import refuse_to_replace
 
     request = Request(name, force)
-    # Refuse what cannot work before the first stage runs.
+    # Reject what cannot work before the first stage runs.
     look, _ = pinned_look(config.look, name)
     masks_of(config.selection)
     selected_in = field_named(runner, field_name) if field_name else None

@@ -44,16 +44,16 @@ from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 
 Field = Artifact | str  # a field, or its name; empty for the default
 
-# Bytes per rendered pixel on disk, EXR and PNG, measured: a capture fills its frames, an object only part of them.
+# Measured bytes per rendered pixel on disk, EXR and PNG: a capture fills its frames, an object only part of them.
 CAPTURE_BYTES, OBJECT_BYTES = 14, 6
 
 
 class Pipeline:
     """A work folder and the stages that fill it.
 
-    Each method runs one verb of the command line and returns the artifact that it made. What the stage needs first is
-    made too, with default options unless `options` says otherwise. An artifact that is up to date is reused, and an
-    interrupted stage resumes from its last checkpoint.
+    Each method runs one verb of the command line and returns the artifact that it made. Missing prerequisites are made
+    too, with default options unless `options` sets others. An artifact that is up to date is reused, and an interrupted
+    stage resumes from its last checkpoint.
 
     Methods share these arguments: `of` is the field to start from, an artifact or its name; `name` is the name of the
     artifact to write; `force` rebuilds an artifact that is up to date. They raise subclasses of
@@ -78,14 +78,14 @@ class Pipeline:
 
         Args:
             work: the folder, created when the first stage runs.
-            seed: of everything random.
+            seed: for everything random.
             device: `auto`, `cpu` or `cuda`.
             threads: CPU threads; by default all that the process may use.
             memory: the most memory to use, bytes or text such as "8G"; 0 for most of what is free.
             progress: receives progress bars and notes; silent by default.
             options: options of prerequisites, by verb.
             only: raise ArtifactStale if a prerequisite is not up to date, instead of running it.
-            no_paths: record files outside the work folder by name alone.
+            no_paths: record files outside the work folder by name only.
             processes: the processes that run this command together (see stages.pipeline.distributed).
 
         Raises:

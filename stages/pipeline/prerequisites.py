@@ -1,4 +1,4 @@
-"""What must exist before a stage runs: the scene, a style image, a field, a deformation, frames."""
+"""Prerequisites of stages: the scene, a style image, a field, a deformation, frames."""
 
 import re
 from dataclasses import asdict, replace
@@ -32,7 +32,7 @@ def scene_of_work(work: WorkFolder) -> Artifact:
 
 
 def input_of(work: WorkFolder, artifact: Artifact, kind: str, role: str = "") -> Artifact:
-    """Return the input of an artifact that has this kind (and role); ArtifactStale if it is gone or was rebuilt."""
+    """Return the input of an artifact that has this kind (and role); ArtifactStale if it is missing or was rebuilt."""
     for ref in artifact.manifest.inputs:
         if ref.kind == kind and role in ("", ref.role):
             found = work.get(kind, ref.name)
@@ -43,7 +43,7 @@ def input_of(work: WorkFolder, artifact: Artifact, kind: str, role: str = "") ->
                     f"{artifact.rebuild_command()}"
                 )
             return found
-    raise ArtifactStale(f"{artifact.kind} {artifact.name} names no {kind} as its input; rebuild it")
+    raise ArtifactStale(f"{artifact.kind} {artifact.name} does not record a {kind} as its input; rebuild it")
 
 
 def pictures_of(work: WorkFolder, field: Artifact) -> Artifact:
@@ -61,8 +61,8 @@ def training_pictures(work: WorkFolder, field: Artifact) -> Artifact:
     if not shows_its_pictures(field):
         before = next((one.name for one in fields_behind(field) if shows_its_pictures(one)), "")
         raise UsageError(
-            f"field {field.name} has colors that no photo shows; training it on the photos would undo them. Start from "
-            f"--of {before or 'the field that it was made from'}, or edit a part of it with `stylerf edit`"
+            f"the colors of field {field.name} are not in the photos, so training on those would undo them. Start "
+            f"from --of {before or 'the field that it was made from'}, or edit a part of it with `stylerf edit`"
         )
     return pictures_of(work, field)
 
@@ -75,7 +75,9 @@ def scene_of(work: WorkFolder, field: Artifact) -> Artifact:
         for ref in one.manifest.inputs:
             if ref.kind == "scene":
                 return original_scene(work.get("scene", ref.name))
-    raise ArtifactStale(f"field {field.name} names no scene as its input; rebuild it: {field.rebuild_command()}")
+    raise ArtifactStale(
+        f"field {field.name} does not record a scene as its input; rebuild it: {field.rebuild_command()}"
+    )
 
 
 def field_named(runner: StageRunner, name: str) -> Artifact:
@@ -103,7 +105,7 @@ def fitted(runner: StageRunner, scene: Artifact, config: FitConfig, request: Req
     """Fit a field to a scene."""
     from stages import nerf_fit
 
-    if request is None:  # nobody renders the views of a fit that another verb needs
+    if request is None:  # the views of a fit that is only a prerequisite are not needed
         config = replace(config, buffers=False)
     return runner.run(nerf_fit.SPEC, nerf_fit.run, {"scene": scene}, config, FIT_NAME, request)
 
@@ -135,8 +137,9 @@ def ensure_frames(runner: StageRunner, field: Artifact, path: str, name: str) ->
 def frames_config(runner: StageRunner, path: str) -> RenderConfig:
     """Return the options of frames that are rendered as a prerequisite.
 
-    They are the options set for `render`, but for the whole path, at full size and strength, with EXR of Rec.709,
-    without what only compositors need, and without a video of the scene's own views. The default is 30 frames.
+    They are the options set for `render`, except that they cover the whole path, at full size and strength, with
+    Rec.709 EXR, without what only compositors need, and without a video of the scene's own views. The default is 30
+    frames.
     """
     from stages.render import pinned
 
@@ -144,7 +147,7 @@ def frames_config(runner: StageRunner, path: str) -> RenderConfig:
     count = runner.options.table("render").get("count", 30)
     video = config.video and path not in OWN_VIEWS
     plain: dict[str, Any] = {**MEASURABLE, "cryptomatte": False, "deep": False, "st_map": False}
-    plain["deep_samples"] = DEEP_SAMPLES  # bounds nothing without --deep
+    plain["deep_samples"] = DEEP_SAMPLES  # has no effect without --deep
     whole: dict[str, Any] = {"count": count, "scale": 1.0, "strength": 1.0, "frames": "", "exr": True, "video": video}
     return pinned(replace(config, path=path, **whole, **plain))
 
@@ -172,14 +175,14 @@ def rendered(
 
 
 def _regions_shown(runner: StageRunner, field: Artifact, config: RenderConfig) -> dict[str, Artifact]:
-    """Return the regions to render masks of, by role; report those selected in the space of another field."""
+    """Return the regions to render masks of, by role; report those selected in the space of a different field."""
     if not config.shows_regions:
         return {}
     from stages.artifacts.region import regions_fitting
 
     fitting, others = regions_fitting(runner.work, field)
     if others:
-        runner.say(f"no masks of {', '.join(others)}: selected in the space of another field than {field.name}")
+        runner.say(f"no masks of {', '.join(others)}: selected in the space of a different field than {field.name}")
     return fitting
 
 
@@ -213,19 +216,19 @@ def import_config(source: Path, options: ImportOptions = _DEFAULTS) -> ImportCon
         options = replace(options, cameras=str(Path(options.cameras).resolve()))
     digest = digest_of_source(source, options.format, options.images, options.cameras)
     config = ImportConfig(**asdict(options), source=str(source), source_digest=digest)
-    # Options that name files are not part of the recipe: where they do not apply, nothing later would refuse them.
+    # Options that name files are not part of the recipe: if they do not apply, nothing later would reject them.
     check_options(config)
     return config
 
 
-LONGEST_NAME = 60  # names of artifacts made with a style image append to its name
+LONGEST_NAME = 60  # names of artifacts made with a style image extend its name
 
 
 def style_file(text: str) -> Path:
     """Return the path of the style image; BadInput if there is no such file."""
     path = Path(text).expanduser()
     if not path.is_file():
-        raise BadInput(f"--style {text}: there is no such image")
+        raise BadInput(f"--style {text}: image not found")
     return path
 
 

@@ -20,7 +20,7 @@ Config = TypeVar("Config")
 
 @dataclass(frozen=True)
 class Request:
-    """A stage that the caller asked for, as opposed to a prerequisite.
+    """A stage that the caller requested, as opposed to a prerequisite.
 
     name: of the artifact, empty for the stage's default. force: rebuild it even if it is up to date.
     """
@@ -81,9 +81,9 @@ class StageRunner:
         """Set up the runner; nothing is computed or written.
 
         Args:
-            seed: of everything random.
+            seed: for everything random.
             only: raise ArtifactStale if a prerequisite is missing or out of date instead of running it.
-            no_paths: record files outside the work folder by name, without their folders.
+            no_paths: record files outside the work folder by name only.
         """
         self.work, self.seed, self.options, self.only = work, seed, options, only
         self.progress, self.processes = progress, processes
@@ -120,15 +120,15 @@ class StageRunner:
 
         Args:
             name: default name of the artifact, shortened if it is too long.
-            request: how the caller asked for this stage; None for a prerequisite, which is announced before it runs.
-            by: arguments besides work folder, name and options that the command making a prerequisite needs.
+            request: how the caller requested this stage; None for a prerequisite, which is announced before it runs.
+            by: further arguments, besides work folder, name and options, of the command that makes a prerequisite.
 
         Raises:
             ArtifactStale: a prerequisite is not up to date and `only` is set. The message holds the command to run.
         """
         name = shortened_name(name)
         if not self.processes.first:
-            # Followers never look whether the artifact is up to date: the leader decides, and may be writing it.
+            # Followers never check whether the artifact is up to date: the leader decides, and may be writing it.
             made = follow(self.processes, run, inputs, config, self.context, self.work.root)
             return self.work.get(spec.writes, made)
         if self.processes.count > 1:
@@ -164,9 +164,9 @@ class StageRunner:
         return artifact
 
     def reusable(self, spec: Spec, source: Artifact) -> Artifact | None:
-        """Return what an earlier command made of `source` with options of its own, if it is up to date.
+        """Return what an earlier command made from `source` with its own options, if it is up to date.
 
-        Such an artifact is kept, unless options are set for the verb that makes it.
+        Such an artifact is kept unless options are set for the verb that makes it.
         """
         if self.options.table(spec.verb):
             return None
@@ -181,7 +181,7 @@ class StageRunner:
         return self.work.get(spec.writes, found) if found else None
 
     def made_from(self, kind: str, stage: str, source: Artifact) -> Artifact | None:
-        """Return the newest artifact that a stage made from the present version of `source`, None without one."""
+        """Return the newest artifact that a stage made from the current version of `source`, or None."""
         made = [
             one
             for one in self.work.artifacts(kind)

@@ -33,10 +33,11 @@ class Baselines:
 
 
 def stressed(runner: StageRunner, config: StressConfig, baselines: Baselines, force: bool) -> dict[str, Any]:
-    """Write stress.json, cells.csv, runs.csv, stress.html and charts/ to WORK/stress; return what stress.json holds.
+    """Write stress.json, cells.csv, runs.csv, stress.html and charts/ to WORK/stress; return the contents of
+    stress.json.
 
-    Trials run in work folders below WORK/stress/works, never in WORK. With `runner.only` nothing is run: the results
-    that are there, perhaps of a command still running, are reported.
+    Trials run in work folders below WORK/stress/works, never in WORK. With `runner.only` nothing is run: existing
+    results, perhaps of a command still running, are reported.
 
     Raises:
         Regression: a cell is worse than in the baseline; raised after everything is written.
@@ -51,19 +52,19 @@ def stressed(runner: StageRunner, config: StressConfig, baselines: Baselines, fo
     stress = Stress(runner.context, config, scene, root)
     cells = {trial.cell for trial in stress.trials()}
     if not cells:
-        raise UsageError("none of these methods faces any of these faults: a fit never sees a style image")
+        raise UsageError("none of these faults affects any of these methods: a fit uses no style image")
     conditions = stress.conditions | {"seed": runner.seed, "scene": _content_digest(scene)}
     if baselines.read and baselines.write and baselines.read.resolve() == baselines.write.resolve():
         raise UsageError(
             f"--baseline and --write-baseline name the same file, {baselines.write}: a regression would pass the next "
             "time; give two files"
         )
-    # Refuse a baseline that does not fit before hours of work, not after them.
+    # Reject a baseline that does not match before hours of work, not after them.
     before = read_baseline(baselines.read, conditions) if baselines.read else None
     if before is not None and cells.isdisjoint((cell["method"], cell["fault"]) for cell in before):
         raise UsageError(
-            f"--baseline {baselines.read} holds no cell of these methods, faults and remedies; give those it was made "
-            "with, or write a new one"
+            f"--baseline {baselines.read} contains no cells for these methods, faults and remedies; use those it was "
+            "made with, or write a new one"
         )
     with ExitStack() as stack:
         if not runner.only:
@@ -74,7 +75,7 @@ def stressed(runner: StageRunner, config: StressConfig, baselines: Baselines, fo
 
 
 def _content_digest(scene: Artifact) -> str:
-    """Digest of a scene's files but not of their origin: a baseline must hold on another machine."""
+    """Return the digest of a scene's files, without their origin: a baseline must be valid on other machines."""
     from schemas.canonical_json import digest_of
 
     return digest_of([(record.path, record.sha256) for record in scene.manifest.files])
@@ -88,7 +89,7 @@ def _results(
     baselines: Baselines,
     force: bool,
 ) -> dict[str, Any]:
-    """Run the trials and write everything about them. before: the cells of the baseline."""
+    """Run the trials and write all results. before: the cells of the baseline."""
     from schemas.atomic_write import write_bytes, write_json
     from stages.evaluation.metrics import write_csv
     from stages.stress.baseline import compared, write_baseline

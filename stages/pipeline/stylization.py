@@ -32,13 +32,13 @@ def stylized(
         config: options; digests are filled in here.
         field_name: the field to stylize, by default the current fit (of a region: the field it was selected in).
         region_name: the region, the only one if empty; None for the whole scene.
-        request: how the caller asked for the field. Its default name is <style>-<method>.
+        request: how the caller requested the field. Its default name is <style>-<method>.
     """
     from stages import stylize
     from stages.artifacts import style_images
     from stages.artifacts.scene import load_scene
 
-    # Refuse what cannot work before hours of prerequisites, not after them.
+    # Reject what cannot work before hours of prerequisites, not after them.
     config, name = _pinned(config)
     scene, more = scene_of_work(runner.work), {}
     if isinstance(config, RefNprConfig):
@@ -88,9 +88,9 @@ def region_styled(
 
     Args:
         config: options; digests are filled in here.
-        field_name: empty, or the field that the region was selected in; any other is refused.
+        field_name: empty, or the field that the region was selected in; any other is rejected.
         region_name: the region, the only one if empty.
-        request: how the caller asked for the edit.
+        request: how the caller requested the edit.
     """
     region = only_one(runner.work, "region", region_name)
     if field_name:
@@ -127,7 +127,7 @@ def _decomposed(
     inputs, name = {"scene": scene, "field": field}, f"{field.name}-palettenerf"
     if not config.changes:
         return runner.run(decompose.SPEC, decompose.run, inputs, config.learning, name, request)
-    if request.name:  # refuse before the palette is learned, not after
+    if request.name:  # reject before the palette is learned, not after
         refuse_to_replace(runner.work, "field", request.name, [field])
     by = ("--method", METHOD, "--of", field.name)
     learned = runner.run(decompose.SPEC, decompose.run, inputs, config.learning, name, by=by)
@@ -144,11 +144,11 @@ def _recolored(
 
 
 def _announce_other_style(runner: StageRunner, kind: str, name: str, config: StylizeConfig | RegionConfig) -> None:
-    """Say so if the artifact about to be replaced was made with another style image."""
+    """Report if the artifact about to be replaced was made with a different style image."""
     existing = next((one for one in runner.work.artifacts(kind) if one.name == name), None)
     if existing is None:
         return
-    with suppress(ArtifactDamaged, ArtifactStale):  # an unreadable one is no loss
+    with suppress(ArtifactDamaged, ArtifactStale):  # losing an unreadable one does not matter
         before = existing.manifest.config
         pairs = [(before.get(key), getattr(config, key, "")) for key in ("style_digest", "references_digest")]
         if any(old and old != new for old, new in pairs):

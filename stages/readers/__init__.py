@@ -1,4 +1,4 @@
-"""Readers of sources: a module per pose format, each returning a SourceScene, and one for plain photos."""
+"""Readers of sources: one module per pose format, each returning a SourceScene, and one for plain photos."""
 
 import importlib
 from dataclasses import dataclass, replace
@@ -14,8 +14,8 @@ XML_MARKS = (b"<document", b"<chunk")
 
 @dataclass(frozen=True)
 class Found:
-    """What a source holds. kind: one of FORMATS, photos, video or splats. also: other formats found. remarks: for the
-    user."""
+    """What a source contains. kind: one of FORMATS, photos, video or splats. also: other formats found. remarks: for
+    the user."""
 
     kind: str
     also: tuple[str, ...] = ()
@@ -40,8 +40,8 @@ def found_in(source: Path, format: str = "auto") -> Found:
     if not kinds and foreign:
         one = foreign[0]
         raise BadInput(
-            f"{printable(str(one.path))} holds poses of {one.tool}, which are not supported: {one.how}; or find new "
-            "poses from the photos with --format photos"
+            f"{printable(str(one.path))} contains poses of {one.tool}, which are not supported: {one.how}; or find "
+            "new poses from the photos with --format photos"
         )
     if not kinds:
         return _without_poses(source)
@@ -66,7 +66,7 @@ def _without_poses(source: Path) -> Found:
     if clips and not photos:
         return Found("video")
     names = ", ".join(printable(one.name) for one in clips[:3]) + (", ..." if len(clips) > 3 else "")
-    remark = f"video is not used beside photos ({names}); --format video takes it"
+    remark = f"video is ignored because there are photos ({names}); --format video imports it"
     return Found("photos", remarks=(remark,) if clips else ())
 
 
@@ -96,7 +96,7 @@ def detected(source: Path) -> list[str]:
 def model_folders(source: Path) -> list[Path]:
     """List the folders of COLMAP models: `source` itself, or those in its usual places, by number.
 
-    The first place with a complete model counts, otherwise the first with any file of one.
+    The first place with a complete model is used, otherwise the first with any file of one.
     """
     places = [[source]]
     for folder in (source / "sparse", source / "colmap" / "sparse", source / "distorted" / "sparse"):
@@ -146,7 +146,7 @@ def polycam_folder(source: Path) -> Path | None:
 
 
 def keyframes_in(folder: Path) -> list[Path]:
-    """List the cameras in a folder of Polycam's, without the hidden files that macOS adds on foreign disks."""
+    """List the cameras in a Polycam folder, without the hidden files that macOS adds on foreign disks."""
     return [path for path in folder.glob("*.json") if path.name[0] != "."]
 
 
@@ -167,9 +167,9 @@ def record3d_file(source: Path) -> Path | None:
 
 
 def read_source(source: Path, format: str = "auto", images: str = "") -> SourceScene:
-    """The posed photos at `source`; images: a folder of photos to use in place of the source's own.
+    """Read the posed photos at `source`. images: a folder of photos to use instead of the source's own.
 
-    BadInput where nothing is found, or what is found is damaged.
+    BadInput if nothing is found, or what is found is damaged.
     """
     found = found_in(source, format)
     if found.kind not in FORMATS:
@@ -181,7 +181,7 @@ def read_source(source: Path, format: str = "auto", images: str = "") -> SourceS
         scene = importlib.import_module(f"stages.readers.{found.kind}").read(source, images)
     except BadInput as error:
         if found.also:
-            raise BadInput(f"{error}; or take other poses that are there, with --format {found.also[0]}") from error
+            raise BadInput(f"{error}; or use the other poses found, with --format {found.also[0]}") from error
         if FORMATS.index(found.kind) > 2:
             raise BadInput(f"{error}; or find new poses from the photos, with --format photos") from error
         raise

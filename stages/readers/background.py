@@ -7,16 +7,16 @@ import numpy as np
 from schemas.errors import BadInput
 from stylerf.geometry.silhouette_bounds import silhouette
 
-# Of the pixels on a picture's border, the share that must be plain, in at least the median picture.
+# The share of a picture's border pixels that must be plain, in at least the median picture.
 PLAIN_SHARE = 0.97
 _PLAIN = 0.02
 _FOREGROUND = 0.06
 # An object is cut out if in the median picture this much of the border is transparent, and this much of the whole. A
-# tripod, a car's bonnet or passers-by take little of either, the blank rim of an undistorted photo little of the whole,
-# the sky no more than the border's upper half or so.
+# tripod, a car's hood or passers-by take little of either, the blank rim of an undistorted photo little of the whole,
+# the sky at most about the border's upper half.
 CUT_BORDER = 2 / 3
 CUT_SHARE = 0.2
-# Masks that differ by less than this share of their pixels are one mask: it belongs to the camera, not to a subject.
+# Masks that differ by less than this share of their pixels are the same mask, of the camera and not of a subject.
 _ONE_MASK = 0.002
 
 
@@ -28,7 +28,7 @@ class Evidence:
         with_alpha: Whether it has alpha.
         cut: Transparent fractions of its border and of the whole.
         white, black: Plain fractions of its border.
-        masks: Silhouettes by kind. With alpha that of alpha alone: then no other counts.
+        masks: Silhouettes by kind. With alpha, only that of alpha; the others are ignored.
     """
 
     with_alpha: bool
@@ -61,9 +61,8 @@ def evidence_of(pixels: np.ndarray) -> Evidence:
 class Background:
     """Gathers evidence picture by picture (`seen`), then `decide`s.
 
-    kind: alpha, white, black or none. cuts_out: what separates the object from its background, in
-    words; empty if nothing does.
-    remark: a message about transparency that cuts out no object, else empty.
+    kind: alpha, white, black or none. cuts_out: a description of what separates the object from its background; empty
+    if nothing does. remark: a message about transparency that does not cut out an object, else empty.
     """
 
     def __init__(self, wanted: str) -> None:
@@ -76,7 +75,7 @@ class Background:
         self._masks: dict[str, list[np.ndarray]] = {"alpha": [], "white": [], "black": []}
 
     def seen(self, evidence: Evidence) -> None:
-        """Take note of a picture."""
+        """Record the evidence of a picture."""
         self._with_alpha += evidence.with_alpha
         self._cut.append(evidence.cut)
         self._white.append(evidence.white)
@@ -111,11 +110,11 @@ class Background:
                 return
 
     def _lens_hood(self) -> bool:
-        """Whether one mask that reaches the border hides the same of nearly every picture."""
+        """Return whether one mask that reaches the border hides the same part of nearly every picture."""
         return self.one_mask() and bool(_border(self._masks["alpha"][0]).any())
 
     def one_mask(self) -> bool:
-        """Whether transparency hides the same of nearly every picture."""
+        """Return whether transparency hides the same part of nearly every picture."""
         masks = self._masks["alpha"]
         first = masks[0]
         alike = [mask.shape == first.shape and (mask != first).mean() < _ONE_MASK for mask in masks]
@@ -125,8 +124,8 @@ class Background:
         border, share = np.mean(self._cut, axis=0)
         return (
             f"masks or transparency in {self._with_alpha} of {len(self._cut)} photos ({share:.2%} of all pixels, "
-            f"{border:.2%} of the borders) hide parts of a room or landscape and cut no object out; if they do, give "
-            "--layout object"
+            f"{border:.2%} of the borders) are taken to hide parts of a room or landscape, not to cut out an object; "
+            "if they do cut one out, give --layout object"
         )
 
     def silhouettes(self) -> list[np.ndarray]:

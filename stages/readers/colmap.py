@@ -1,4 +1,4 @@
-"""COLMAP models, binary or text, as COLMAP, 3DGS and nerfstudio lay them out."""
+"""COLMAP models, binary or text, in the folder layouts of COLMAP, 3DGS and nerfstudio."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,19 +18,21 @@ PHOTOS = ("images", "input")
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """A folder with sparse/0 and images, or a model's own folder with images beside it or at --images.
+    """Read a folder with sparse/0 and images, or a model's own folder with images next to it or at --images.
 
-    COLMAP makes several models where photos fall apart into groups: the one of most photos counts.
+    COLMAP makes several models if photos fall apart into groups: the one with most photos is used.
     """
     folders = model_folders(source)
     if not folders:
-        raise BadInput(f"{source} holds no COLMAP model (cameras.bin or cameras.txt, also in sparse/0)")
+        raise BadInput(f"{source} contains no COLMAP model (cameras.bin or cameras.txt, there or in sparse/0)")
     models, faults = _models(folders)
     largest = max(models, key=lambda one: len(models[one].images))
     kind = "COLMAP model"
     if len(models) > 1:
         others = ", ".join(f"{len(models[one].images)} in {one.name}" for one in models if one != largest)
-        kind += f" {largest.name}, of {len(models[largest].images)} photos ({others}; name another's folder for it)"
+        kind += (
+            f" {largest.name}, of {len(models[largest].images)} photos ({others}; to import another, give its folder)"
+        )
     root, below = _photos(source, largest)
     folder = image_folder(root, images) if images else below
     scene = scene_of(models[largest], folder, root, kind, bool(images), above=None if images else root)
@@ -46,7 +48,7 @@ def read(source: Path, images: str) -> SourceScene:
 
 
 def _models(folders: list[Path]) -> tuple[dict[Path, Model], list[str]]:
-    """The models that are whole, and what is wrong with the others; BadInput where none is."""
+    """Return the intact models, and what is wrong with the others; BadInput if none is intact."""
     models, faults = {}, []
     for folder in folders:
         try:
@@ -55,7 +57,7 @@ def _models(folders: list[Path]) -> tuple[dict[Path, Model], list[str]]:
             faults.append(error)
     if not models:
         raise faults[0]
-    return models, [f"{error}; another model was taken" for error in faults]
+    return models, [f"{error}; using another model" for error in faults]
 
 
 def scene_of(
@@ -86,7 +88,7 @@ def scene_of(
 
 
 def _photos(source: Path, model: Path) -> tuple[Path, Path]:
-    """The source, or the nearest folder above the model that holds photos, and its folder of photos.
+    """Return the source, or the nearest folder above the model that contains photos, and its folder of photos.
 
     3DGS's convert.py reconstructs input/ in distorted/sparse, and writes images/ without distortion.
     """

@@ -1,8 +1,8 @@
 """COLMAP's model files, binary or text, read strictly.
 
-COLMAP's own reader (pycolmap.Reconstruction), given a file that was cut short or altered, may read on for ever, ask for
-exabytes of memory, or read part of it silently; here every count is checked against the bytes that are there, and
-nothing may be left over. Rigs and frames are not needed: images.bin and images.txt hold each photo's own pose too.
+Given a truncated or altered file, COLMAP's own reader (pycolmap.Reconstruction) may never return, request exabytes of
+memory, or silently read only part of it; here every count is checked against the available bytes, and nothing may be
+left over. Rigs and frames are not needed: images.bin and images.txt also contain each photo's pose.
 """
 
 import math
@@ -18,7 +18,7 @@ from schemas.errors import BadInput
 from schemas.safe_names import printable
 from schemas.safe_reading import read_bytes, read_text
 
-# In the order of their numbers in binary files: the name in text files, and the count of parameters.
+# In the order of their numbers in binary files: the name in text files, and the number of parameters.
 MODELS = (
     ("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8),
     ("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12),
@@ -27,13 +27,13 @@ MODELS = (
 )  # fmt: skip
 LONGEST_NAME = 4096
 MOST_BYTES = 2 << 30  # of one file: images.bin of 5,000 photos with 10,000 features each takes 1.2 GB
-# How far from 1 the length of a quaternion may be: lists written by hand round to two or three digits.
+# How far from 1 the length of a quaternion may be: manually written lists round to two or three digits.
 ROUNDING = 1e-2
 
 
 @dataclass(frozen=True)
 class ModelCamera:
-    """model: COLMAP's name of it; params: in COLMAP's order; size in pixels."""
+    """model: COLMAP's name; params: in COLMAP's order; size in pixels."""
 
     model: str
     width: int
@@ -55,7 +55,7 @@ class ModelImage:
 class Model:
     """Cameras by number; photos; points [n, 3] float64 with colors [n, 3] uint8 and errors [n] float32 pixels.
 
-    remarks: what is odd about the files, a line each.
+    remarks: what is unusual about the files, one line each.
     """
 
     cameras: dict[int, ModelCamera]
@@ -71,22 +71,22 @@ class _Damaged(Exception):
 
 
 def whole(folder: Path) -> list[str]:
-    """Which of .bin and .txt the model in `folder` has both its cameras and its photos in, the one to take first."""
+    """Return which of .bin and .txt have both the cameras and the photos of the model in `folder`, preferred first."""
     pairs = {end: [folder / f"{name}{end}" for name in ("cameras", "images")] for end in (".bin", ".txt")}
     return [end for end, pair in pairs.items() if all(path.is_file() for path in pair)]
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The files of a model that are there, of both kinds."""
+    """Return the existing files of a model, of both kinds."""
     names = [f"{name}{end}" for name in ("cameras", "images", "points3D") for end in (".bin", ".txt")]
     return [folder / name for name in names if (folder / name).is_file()]
 
 
 def read_model(folder: Path) -> Model:
-    """The model in `folder`: the binary one, as COLMAP itself takes it, or the text where that is missing or damaged.
+    """Read the model in `folder`: the binary one, as COLMAP does, or the text if that is missing or damaged.
 
-    BadInput naming the file where one is missing, cut short, altered so that it shows, or of an unknown camera model.
-    Points may be missing as a whole.
+    BadInput names a file that is missing, truncated, visibly altered, or of an unknown camera model. All points may be
+    missing.
     """
     kinds, there = whole(folder), [path.name for path in files_of(folder)]
     if not kinds:
@@ -101,7 +101,7 @@ def read_model(folder: Path) -> Model:
     try:
         binary = _model(folder, ".bin")
     except BadInput as error:
-        return _model(folder, ".txt", (f"{error}; its text was taken",))
+        return _model(folder, ".txt", (f"{error}; using its text files",))
     return replace(binary, remarks=binary.remarks + _against_text(folder, binary))
 
 
@@ -121,20 +121,22 @@ def _model(folder: Path, end: str, remarks: tuple[str, ...] = ()) -> Model:
             )
         if (other := first.setdefault(image.number, image)) is not image:
             two = f"{printable(other.name)} and {printable(image.name)}"
-            raise BadInput(f"the COLMAP model {folder}: {two} have one number, {image.number}; number photos apart")
+            raise BadInput(
+                f"the COLMAP model {folder}: {two} share the number {image.number}; number the photos uniquely"
+            )
     if not images:
-        raise BadInput(f"the COLMAP model {folder} holds no photo with a pose; reconstruct again")
+        raise BadInput(f"the COLMAP model {folder} contains no photo with a pose; reconstruct again")
     return Model(cameras, images, *points, tuple(found))
 
 
 def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:
-    """What to say of the text beside a binary model that is read: nothing where it is the same to its digits."""
+    """Return remarks on the text files next to the binary model being read: none if they agree within their digits."""
     remarks: list[str] = []
     try:
         cameras = _read(folder / "cameras.txt", _cameras_text, remarks)
         images = {one.name: one for one in _read(folder / "images.txt", _images_text, remarks)}
     except BadInput as error:
-        return (f"{error}; the binary model beside it was taken",)
+        return (f"{error}; using the binary model next to it",)
     ours = {one.name: one for one in binary.images}
     equal = [
         np.allclose(images[name].camera_from_world, one.camera_from_world, rtol=1e-4, atol=1e-4)
@@ -145,7 +147,10 @@ def _against_text(folder: Path, binary: Model) -> tuple[str, ...]:
     if len(images) == len(ours) == sum(equal):
         return ()
     counts = f"{len(images)} photos, {sum(equal)} of them as in the binary model"
-    return (f"{folder}: its text is another model ({counts}) and is not used; for it, move the .bin files away",)
+    return (
+        f"{folder}: its text files hold a different model ({counts}) and are not used; to use them, move the .bin "
+        "files away",
+    )
 
 
 def _alike(one: ModelCamera | None, other: ModelCamera) -> bool:
@@ -168,14 +173,14 @@ def _read(path: Path, parse, remarks: list[str]):
         if path.stem == "points3D":
             return content
         if lines.declared not in (None, len(content)):
-            remarks.append(f"{path}: its header declares {lines.declared} entries, {len(content)} are there")
+            remarks.append(f"{path}: its header declares {lines.declared} entries, found {len(content)}")
         return content
     except FileNotFoundError as error:
         raise BadInput(f"{path} cannot be read ({error.strerror}); export the COLMAP model again") from error
     except _Damaged as error:
         raise BadInput(f"{path} is damaged ({printable(str(error)[:300])}); export the COLMAP model again") from error
     except (ValueError, IndexError, struct.error, OverflowError) as error:
-        raise BadInput(f"{path} is damaged (no {path.stem} of COLMAP); export the COLMAP model again") from error
+        raise BadInput(f"{path} is damaged (not COLMAP {path.stem}); export the COLMAP model again") from error
 
 
 class _Bytes:
@@ -204,7 +209,7 @@ class _Bytes:
     def text(self) -> str:
         end = self.data.find(b"\0", self.at, self.at + LONGEST_NAME)
         if end < 0:
-            raise _Damaged("a name does not end")
+            raise _Damaged("a name is not terminated")
         name = self.data[self.at : end]
         self.at = end + 1
         try:
@@ -214,11 +219,11 @@ class _Bytes:
 
     def _need(self, size: int) -> None:
         if size > len(self.data) - self.at:
-            raise _Damaged(f"cut short at byte {self.at} of {len(self.data)}")
+            raise _Damaged(f"truncated at byte {self.at} of {len(self.data)}")
 
     def end(self) -> None:
         if self.at != len(self.data):
-            raise _Damaged(f"{len(self.data) - self.at} bytes too many")
+            raise _Damaged(f"{len(self.data) - self.at} extra bytes")
 
 
 def _cameras_binary(data: _Bytes) -> dict[int, ModelCamera]:
@@ -226,7 +231,7 @@ def _cameras_binary(data: _Bytes) -> dict[int, ModelCamera]:
     for _ in range(data.count(24)):
         number, model, width, height = data.take("IiQQ")
         if not 0 <= model < len(MODELS):
-            raise _Damaged(f"camera {number} is of a model that is not known, number {model}")
+            raise _Damaged(f"camera {number} has unknown model number {model}")
         name, count = MODELS[model]
         _add(cameras, number, _camera(name, width, height, data.take(f"{count}d")))
     return cameras
@@ -240,7 +245,7 @@ def _camera(name: str, width: int, height: int, params: tuple[float, ...]) -> Mo
 
 def _add(cameras: dict[int, ModelCamera], number: int, camera: ModelCamera) -> None:
     if cameras.setdefault(number, camera) != camera:
-        raise _Damaged(f"two cameras have the number {number}")
+        raise _Damaged(f"two cameras have number {number}")
 
 
 def _images_binary(data: _Bytes) -> list[ModelImage]:
@@ -284,7 +289,7 @@ def _points_binary(data: _Bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _points(numbers: array, values: array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of (x, y, z, r, g, b, error) a point: sorted by number; those that are not finite are left out."""
+    """Return points from rows (x, y, z, r, g, b, error), sorted by number, without those that are not finite."""
     table = np.array(values, dtype=np.float64).reshape(-1, 7)[np.argsort(np.array(numbers), kind="stable")]
     table = table[np.isfinite(table).all(axis=1)]
     if ((table[:, 3:6] < 0) | (table[:, 3:6] > 255)).any():
@@ -293,7 +298,7 @@ def _points(numbers: array, values: array) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 class _Lines:
-    """The lines of a text file without blank ones and comments. declared: number of entries by its header."""
+    """The lines of a text file without blank ones and comments. declared: number of entries according to its header."""
 
     def __init__(self, text: str) -> None:
         self.declared: int | None = None
@@ -306,7 +311,7 @@ class _Lines:
             yield f"line {self._at}", found
 
     def next(self, blank: bool) -> str | None:
-        """The next line that is not a comment, with blank=True also a blank one; None at the end."""
+        """Return the next line that is not a comment, with blank=True also a blank one; None at the end."""
         while self._at < len(self._lines):
             line = self._lines[self._at].strip()
             self._at += 1
@@ -317,7 +322,7 @@ class _Lines:
         return None
 
     def back(self) -> None:
-        """Takes the line that was read last back."""
+        """Put back the line that was read last."""
         self._at -= 1
 
     def _head(self, line: str) -> None:
@@ -332,9 +337,9 @@ def _cameras_text(lines: _Lines) -> dict[int, ModelCamera]:
     for where, line in lines:
         number, name, *numbers = line.split()
         if name not in counts:
-            raise _Damaged(f"camera {number} is of a model that is not known, {name}")
+            raise _Damaged(f"camera {number} has unknown model {name}")
         if len(numbers) != counts[name] + 2:
-            raise _Damaged(f"camera {number} has {max(0, len(numbers) - 2)} parameters where {name} has {counts[name]}")
+            raise _Damaged(f"camera {number} has {max(0, len(numbers) - 2)} parameters, but {name} has {counts[name]}")
         try:
             width, height, params = int(numbers[0]), int(numbers[1]), tuple(map(float, numbers[2:]))
             _add(cameras, int(number), _camera(name, width, height, params))
@@ -344,7 +349,7 @@ def _cameras_text(lines: _Lines) -> dict[int, ModelCamera]:
 
 
 def _images_text(lines: _Lines) -> list[ModelImage]:
-    """Each photo has a second line, its observations, which may be empty; lists written by hand leave it out."""
+    """Each photo has a second line, its observations, which may be empty; manually written lists omit it."""
     images = []
     for where, line in lines:
         fields = line.split(maxsplit=9)
@@ -365,9 +370,9 @@ def _images_text(lines: _Lines) -> list[ModelImage]:
 
 
 def _observations(line: str) -> bool:
-    """Whether a line is one of observations, x y point of each, and not of a photo whose name is a number.
+    """Return whether a line contains observations, x y point of each, and not a photo whose name is a number.
 
-    Of its numbers, which may be tens of thousands, those are looked at that a photo's line has too.
+    Only as many of its numbers, which may be tens of thousands, are examined as a photo's line has.
     """
     fields = line.split(maxsplit=10)
     if not all(map(_is_number, fields[:10])):
@@ -393,7 +398,7 @@ def _points_text(lines: _Lines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for where, line in lines:
         fields = line.split()
         if len(fields) < 8 or len(fields) % 2:
-            raise _Damaged(f"{where}: point {fields[0]:.20} is cut short")
+            raise _Damaged(f"{where}: point {fields[0]:.20} is incomplete")
         numbers.append(int(fields[0]))
         values.extend((*map(float, fields[1:4]), *map(int, fields[4:7]), float(fields[7])))
     return _points(numbers, values)

@@ -1,4 +1,4 @@
-"""Finds the photos of a pose list, whose paths may be of another machine, folder or Unicode form."""
+"""Finds the photos of a pose list, whose paths may come from another machine, folder or Unicode form."""
 
 import re
 import unicodedata
@@ -10,7 +10,7 @@ from stages.readers.source import bare, find_image
 
 
 def inner_path(listed: str, where: str) -> str:
-    """Return the listed path with forward slashes, without root or drive, and from after its last `..`.
+    """Return the listed path with forward slashes, without root or drive, starting after its last `..`.
 
     Raises:
         BadInput: It is not a valid path; the message begins with `where`.
@@ -28,8 +28,8 @@ def _parts(listed: str) -> list[str]:
 class Folder:
     """Finds the photos of a list in a folder by their listed paths, then without leading folders, finally by name.
 
-    above: a second folder where whole listed paths are tried. Photos are never found outside these two. Two entries of
-    different paths may not share a photo.
+    above: a second folder where whole listed paths are tried. Photos outside these two are never found. Two entries
+    with different paths may not share a photo.
     """
 
     def __init__(self, folder: Path, above: Path | None = None, where: str = "") -> None:
@@ -53,7 +53,7 @@ class Folder:
         return bare(found.relative_to(root)).as_posix(), found
 
     def remarks(self) -> tuple[str, ...]:
-        """Return lines for the user about photos that were not where the list has them."""
+        """Return lines for the user about photos that were not at their listed paths."""
         if not self.shortened:
             return ()
         first = printable(self.shortened[0])
@@ -66,7 +66,7 @@ class Folder:
         if self.above:
             places.insert(1, (self.above, inner))
         for root, path in places:
-            # macOS writes names decomposed, other systems composed.
+            # macOS writes decomposed names, other systems composed ones.
             forms = (path, *(unicodedata.normalize(one, path) for one in ("NFC", "NFD")))
             titled = (str(Path(form).with_suffix(Path(form).suffix.title())) for form in forms)  # .Jpg
             for form in dict.fromkeys((*forms, *titled)):

@@ -1,12 +1,12 @@
-"""Cameras of Agisoft Metashape: the XML of File > Export > Export Cameras.
+"""Agisoft Metashape cameras: the XML of File > Export > Export Cameras.
 
-Frame: that of the chunk, not georeferenced. A camera's transform is camera-to-chunk with OpenCV axes. Lens (Metashape's
-manual, appendix on camera models): pixels have their centers at (i + 0.5, j + 0.5),
+Coordinate frame: the chunk's, not georeferenced. A camera's transform is camera-to-chunk with OpenCV axes. Lens
+(Metashape's manual, appendix on camera models): pixels have their centers at (i + 0.5, j + 0.5),
 
     u = w/2 + cx + x' (f + b1) + y' b2        x' = x N(r^2) + p1 (r^2 + 2 x^2) + 2 p2 x y
     v = h/2 + cy + y' f                       y' = y N(r^2) + p2 (r^2 + 2 y^2) + 2 p1 x y
 
-so that p1 and p2 are those of OpenCV, swapped; of a fisheye (x, y) is the direction of (X, Y) times atan of X/Z, Y/Z.
+so that p1 and p2 are OpenCV's, swapped; for a fisheye, (x, y) is the direction of (X, Y) times atan of X/Z, Y/Z.
 """
 
 import math
@@ -28,16 +28,16 @@ from stylerf.geometry.camera_conventions import with_last_row
 from stylerf.geometry.distortion import Distortion
 
 MOST_BYTES = 256 << 20  # cameras with their covariances take some 2 kB each
-# What a skew may shift a pixel at the picture's edge: less is left out, as a camera of ours has none.
+# Pixels by which skew may shift the picture's edge: less is ignored, because our cameras have none.
 MOST_SKEW_PX = 0.5
 EXPORT = "export the cameras again (File > Export > Export Cameras, Agisoft XML)"
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """The aligned cameras of the one chunk; those that are not aligned, or disabled, are skipped."""
+    """Read the aligned cameras of the only chunk; cameras that are not aligned, or disabled, are skipped."""
     path = metashape_file(source)
     if path is None:
-        raise BadInput(f"{source} holds no cameras.xml of Metashape; {EXPORT}")
+        raise BadInput(f"{source} contains no Metashape cameras.xml; {EXPORT}")
     chunk = _chunk(path)
     root = source.parent if source.is_file() else source
     photos = _Photos(folder_of(root, images), f"{path}")
@@ -48,7 +48,7 @@ def read(source: Path, images: str) -> SourceScene:
     for entry, sensor in entries:
         label, component = entry.get("label", ""), entry.get("component_id")
         if component not in frames:
-            skipped.append((label, "in another component of Metashape's, which is not placed"))
+            skipped.append((label, "in another Metashape component, whose position is unknown"))
             continue
         where = f"{path}: camera {printable(label)}"
         size, intrinsics, lens = _lens(sensor, where)
@@ -62,9 +62,11 @@ def read(source: Path, images: str) -> SourceScene:
         )  # fmt: skip
     doubled = [label for label, count in Counter(one.source for one in cameras).items() if count > 1]
     if doubled:
-        raise BadInput(f"{path}: two cameras are called {printable(doubled[0])!r}; rename photos apart, and {EXPORT}")
+        raise BadInput(
+            f"{path}: two cameras are named {printable(doubled[0])!r}; rename one of the photos, and {EXPORT}"
+        )
     if not cameras:
-        raise BadInput(f"{path} holds no aligned camera; align the photos, and {EXPORT}")
+        raise BadInput(f"{path} contains no aligned camera; align the photos, and {EXPORT}")
     cameras = with_masks(sorted(cameras, key=lambda one: natural(one.source)), root)
     return SourceScene(
         "cameras of Metashape", cameras, rescalable=bool(images), skipped=tuple(skipped),
@@ -73,10 +75,10 @@ def read(source: Path, images: str) -> SourceScene:
 
 
 class _Plain(ElementTree.TreeBuilder):
-    """Builds elements and refuses a document type, the only place where entities are declared."""
+    """Builds elements and rejects a document type, the only place where entities are declared."""
 
     def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise BadInput("it declares a document type, which Metashape never does")
+        raise BadInput("it declares a document type, which Metashape never writes")
 
 
 def _chunk(path: Path) -> ElementTree.Element:
@@ -85,17 +87,17 @@ def _chunk(path: Path) -> ElementTree.Element:
         parser.feed(read_bytes(path, MOST_BYTES))
         document = parser.close()
     except (ElementTree.ParseError, LookupError, ValueError) as error:
-        raise BadInput(f"{path} is not XML of Metashape ({error}); {EXPORT}") from error
+        raise BadInput(f"{path} is not a Metashape XML file ({error}); {EXPORT}") from error
     except BadInput as error:
         raise BadInput(f"{path}: {error}; {EXPORT}") from error
     chunks = [document] if document.tag == "chunk" else document.findall("chunk")
     if len(chunks) != 1:
-        raise BadInput(f"{path} holds {len(chunks)} chunks, expected one; {EXPORT}")
+        raise BadInput(f"{path} contains {len(chunks)} chunks, expected one; {EXPORT}")
     return chunks[0]
 
 
 def _aligned(chunk, sensors: dict) -> tuple[list, list[tuple[str, str]]]:
-    """Cameras that count with their sensors, and the labels of the others with the reason."""
+    """Return the usable cameras with their sensors, and the labels of the others with the reason."""
     found, skipped = [], []
     for entry in chunk.iterfind("cameras//camera"):
         sensor = sensors.get(entry.get("sensor_id"))
@@ -111,10 +113,10 @@ def _aligned(chunk, sensors: dict) -> tuple[list, list[tuple[str, str]]]:
 
 
 def _frames(chunk, entries: list) -> tuple[dict[str | None, np.ndarray], tuple[str, ...]]:
-    """By component: [4, 4] to one frame of all cameras.
+    """Return for each component the [4, 4] to a common frame of all cameras.
 
-    Cameras of a single component stay in its own frame. Several are joined by their transforms; where one has none,
-    only the component of most cameras counts.
+    Cameras of a single component stay in its frame. Several are joined by their transforms; if one has none, only the
+    component with most cameras is used.
     """
     counts = Counter(entry.get("component_id") for entry in entries)
     if len(counts) < 2:
@@ -148,7 +150,7 @@ def _moved(pose: np.ndarray, similarity: np.ndarray) -> np.ndarray:
 
 
 def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, float, float], Distortion]:
-    """Size, (fx, fy, cx, cy) and distortion of the adjusted calibration, else of the one there is."""
+    """Return size, (fx, fy, cx, cy) and distortion of the adjusted calibration, else of the only one."""
     found = sensor.findall("calibration")
     one = next((item for item in found if item.get("class") == "adjusted"), found[-1])
     kind = one.get("type") or sensor.get("type") or "frame"
@@ -160,7 +162,9 @@ def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, floa
         raise BadInput(f"{where}: its sensor has no resolution; {EXPORT}")
     width, height = map(int, sides)
     if one.find("f") is None:
-        raise BadInput(f"{where}: its calibration has no f; that of PhotoScan before 1.2 is not read: {EXPORT}")
+        raise BadInput(
+            f"{where}: its calibration has no f; calibrations of PhotoScan before 1.2 are not supported: {EXPORT}"
+        )
     names = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
     values = {name: _numbers(one, name, 1, where)[0] if one.find(name) is not None else 0.0 for name in names}
     f, b1, b2 = values["f"], values["b1"], values["b2"]
@@ -168,7 +172,7 @@ def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, floa
         raise BadInput(f"{where}: its focal length {f:g} (b1 {b1:g}) must be positive; {EXPORT}")
     if abs(b2) * height / 2 / f > MOST_SKEW_PX or values["p3"] or values["p4"]:
         raise BadInput(
-            f"{where}: its lens has a skew (b2 {b2:g}) or p3, p4, which are not read; calibrate without them, or "
+            f"{where}: its lens has skew (b2 {b2:g}) or p3, p4, which are not supported; calibrate without them, or "
             "export undistorted photos and their cameras"
         )
     radial = tuple(values[f"k{index}"] for index in range(1, 5))
@@ -176,7 +180,9 @@ def _lens(sensor, where: str) -> tuple[tuple[int, int], tuple[float, float, floa
     if kind == "frame":
         return (width, height), intrinsics, Distortion("brown", radial, (values["p2"], values["p1"]))
     if values["p1"] or values["p2"]:
-        raise BadInput(f"{where}: a fisheye with p1, p2 is not read; calibrate without them, or undistort the photos")
+        raise BadInput(
+            f"{where}: a fisheye with p1, p2 is not supported; calibrate without them, or undistort the photos"
+        )
     return (width, height), intrinsics, Distortion("fisheye", radial)
 
 
@@ -191,7 +197,7 @@ def _numbers(parent, name: str, count: int, where: str) -> np.ndarray:
 
 
 class _Photos(Folder):
-    """Photos by their labels: a name with or without its suffix, of a photo in the folder or anywhere below it."""
+    """Finds photos by label: a name with or without its suffix, of a photo in the folder or anywhere below it."""
 
     def __init__(self, folder: Path, where: str) -> None:
         super().__init__(folder, None, where)

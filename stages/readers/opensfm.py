@@ -2,7 +2,7 @@
 
 Shots are world-to-camera, rotation as angle times axis, with OpenCV axes. Focal lengths and principal points are in
 units of the longer side, from the picture's center (OpenSfM, doc/source/geometry.rst), and its center is ours: with
-pixel centers at whole numbers it lies at ((w - 1)/2, (h - 1)/2).
+pixel centers at whole numbers it is ((w - 1)/2, (h - 1)/2).
 """
 
 import math
@@ -33,13 +33,13 @@ MODELS = {
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """The shots of the reconstruction that has most of them."""
+    """Read the shots of the reconstruction that has the most."""
     path = opensfm_file(source)
     if path is None:
-        raise BadInput(f"{source} holds no reconstruction.json of OpenSfM; run OpenSfM's `reconstruct`")
+        raise BadInput(f"{source} contains no OpenSfM reconstruction.json; run OpenSfM's `reconstruct`")
     parts = read_json(path)
     if not isinstance(parts, list) or not all(isinstance(one, dict) and "shots" in one for one in parts) or not parts:
-        raise BadInput(f"{path} is not a list of OpenSfM's reconstructions; run OpenSfM's `reconstruct` again")
+        raise BadInput(f"{path} is not a list of OpenSfM reconstructions; run OpenSfM's `reconstruct` again")
     counts = [len(object_of(one, "shots", f"{path}: reconstruction {index}")) for index, one in enumerate(parts)]
     largest = int(np.argmax(counts))
     where = f"{path}: reconstruction {largest}"
@@ -56,7 +56,7 @@ def read(source: Path, images: str) -> SourceScene:
         for key, shot in sorted(parts[largest]["shots"].items(), key=lambda item: natural(item[0]))
     ]
     if not cameras:
-        raise BadInput(f"{path} holds no shot; run OpenSfM's `reconstruct` again")
+        raise BadInput(f"{path} contains no shot; run OpenSfM's `reconstruct` again")
     remarks = list(photos.remarks())
     if len(parts) > 1:
         others = ", ".join(str(count) for index, count in enumerate(counts) if index != largest)
@@ -74,8 +74,8 @@ def _lens(camera: object, where: str):
     kind = str(entry_of(camera, "projection_type", where, "perspective"))
     if kind not in MODELS:
         raise BadInput(
-            f"{where}: its projection {printable(kind)} is not read; run OpenSfM's `undistort` and import the folder "
-            "undistorted"
+            f"{where}: its projection {printable(kind)} is not supported; run OpenSfM's `undistort` and import the "
+            "folder undistorted"
         )
     distortion, radial, brown = MODELS[kind]
     width, height = size(camera, where)

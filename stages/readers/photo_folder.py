@@ -1,4 +1,4 @@
-"""A folder of plain photos: which files count, and what to report if none does."""
+"""A folder of plain photos: which files are photos, and what to report if there are none."""
 
 import re
 import shlex
@@ -27,14 +27,14 @@ def photos_of(source: Path, images: str = "") -> list[Path]:
     foreign = sorted({Path(name).suffix for name in names if Path(name).suffix.lower() in UNREADABLE})
     if foreign:
         how = conversion(folder, foreign[0])
-        raise BadInput(f"{folder} holds only files of unsupported formats ({', '.join(foreign)}); {how}")
+        raise BadInput(f"{folder} contains only files of unsupported formats ({', '.join(foreign)}); {how}")
     if clips := clips_of(folder):
-        raise BadInput(f"{folder} holds no photos, but video ({clips[0].name}); import it without --format photos")
+        raise BadInput(f"{folder} contains no photos, only video ({clips[0].name}); import it without --format photos")
     if others := photos_elsewhere(source, folder):
         inner = printable(str(others[0].parent.relative_to(source)))
-        raise BadInput(f"{folder} holds no photos, but {others[0].parent} does; give --images {inner}")
+        raise BadInput(f"{folder} contains no photos, but {others[0].parent} does; give --images {inner}")
     raise BadInput(
-        f"{source} holds no photos (PNG, JPEG, TIFF, WebP ...), no video, no transforms.json, no COLMAP model "
+        f"{source} contains no photos (PNG, JPEG, TIFF, WebP ...), no video, no transforms.json, no COLMAP model "
         "(sparse/0) and no poses_bounds.npy; give a folder that has one of these"
     )
 
@@ -64,7 +64,7 @@ def folder_of(source: Path, images: str = "") -> Path:
 def photos_elsewhere(source: Path, chosen: Path) -> list[Path]:
     """List the photos in and below `source` that are not in the chosen folder.
 
-    Masks, hidden folders, artifacts and smaller copies (images_2) do not count.
+    Masks, hidden folders, artifacts and smaller copies (images_2) are ignored.
     """
     found: list[Path] = []
     for folder in folders_of_photos(source):

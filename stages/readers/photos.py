@@ -15,7 +15,7 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.distortion import pinhole_of, source_positions
 from stylerf.geometry.resampling import nearest, shrunk
 
-# Brightest pixel of a photo that shows anything: a covered lens stays below in 8 bit, noise included.
+# The brightest pixel of a photo that shows anything: a covered lens stays below in 8 bits, including noise.
 DARKEST_WHITE = 10 / 255
 BAND_ROWS = 32
 
@@ -38,10 +38,10 @@ class Sized:
 
 
 def sized(camera: SourceCamera, source: SourceScene, alike: dict) -> Sized:
-    """Checks pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
+    """Check pose, focal length and size against the photo's header. alike: cache of pinholes by their distortion.
 
-    A photo is turned by EXIF too if only then its size is that of its camera. BadInput with the photo's name
-    and what is wrong.
+    A photo is also rotated by EXIF if only then its size is that of its camera. BadInput names the photo and the
+    problem.
     """
     where = camera.source
     try:
@@ -82,8 +82,8 @@ def _intrinsics(camera: SourceCamera, size: tuple[int, int], rescalable: bool) -
         return (fx, fy, cx, cy)
     if not _fits(size, claimed, rescalable):
         raise BadInput(
-            f"{where}: the photo is {size[0]}x{size[1]} where its camera says {claimed[0]}x{claimed[1]}; restore the "
-            "photo of that size" + ("" if rescalable else ", or name a folder of smaller copies with --images")
+            f"{where}: the photo is {size[0]}x{size[1]}, but its camera expects {claimed[0]}x{claimed[1]}; restore "
+            "the photo of that size" + ("" if rescalable else ", or name a folder of smaller copies with --images")
         )
     kx, ky = size[0] / claimed[0], size[1] / claimed[1]
     return (fx * kx, fy * ky, cx * kx, cy * ky)
@@ -99,7 +99,7 @@ def _focal(focal: float, angle: float, side: int, which: str) -> float:
 
 
 def scale_of(size: tuple[int, int], downscale: float, max_side: int) -> float:
-    """The factor, at most 1, by which a photo's sides are multiplied."""
+    """Return the factor, at most 1, by which a photo's sides are multiplied."""
     factor = 1 / downscale
     return min(factor, max_side / max(size)) if max_side else factor
 
@@ -130,7 +130,7 @@ class Developer:
         if cut:
             pixels[..., :3] *= pixels[..., 3:]
         if not one.camera.distortion.none:
-            # Late: the kernel takes a second to load, which pinhole sources need not wait for.
+            # Imported late: the kernel takes a second to load, which pinhole sources do not need.
             from stylerf.kernels.cpu.photos import remapped
 
             with self._undistorting:
@@ -149,7 +149,7 @@ class Developer:
 
 
 def _brightest(pixels: np.ndarray) -> float:
-    """Largest value of a color times its alpha; by bands of rows, as photos can be large."""
+    """Return the largest value of a color times its alpha; in bands of rows, as photos can be large."""
     if pixels.shape[2] == 3:
         return float(pixels.max())
     bands = (pixels[top : top + BAND_ROWS] for top in range(0, len(pixels), BAND_ROWS))
@@ -157,7 +157,8 @@ def _brightest(pixels: np.ndarray) -> float:
 
 
 def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: bool) -> np.ndarray:
-    """The photo [h, w, 1, 3 or 4] as [h, w, 3 or 4]: what the mask does not keep, or `hides` hides, is transparent.
+    """Return the photo [h, w, 1, 3 or 4] as [h, w, 3 or 4], transparent where the mask does not keep it or `hides`
+    hides it.
 
     BadInput for a mask of another shape.
     """
@@ -172,22 +173,22 @@ def masked(pixels: np.ndarray, mask: Path | None, hides: Path | None, upright: b
 
 
 def _fitted(mask: np.ndarray, path: Path, photo: np.ndarray) -> np.ndarray:
-    """A mask [h, w] at the size of its photo [h, w, ...]: of a photo's smaller or larger copy it is resized."""
+    """Return a mask [h, w] at the size of its photo [h, w, ...]; masks of smaller or larger copies are resized."""
     size, there = (photo.shape[1], photo.shape[0]), (mask.shape[1], mask.shape[0])
     if size == there:
         return mask
     if not (_fits(size, there, True) or _fits(there, size, True)):
         raise BadInput(
-            f"{path} is {there[0]}x{there[1]} where its photo is {size[0]}x{size[1]}; make it of the same size"
+            f"{path} is {there[0]}x{there[1]}, but its photo is {size[0]}x{size[1]}; make them the same size"
         )
     return shrunk(mask[..., None], size)[..., 0] if size < there else nearest(mask, size)
 
 
 def lens_without_photo(camera: SourceCamera, size: tuple[int, int]) -> tuple[float, float, float, float]:
-    """fx, fy, cx, cy of a camera whose photo need not be there. size: that of its picture if the camera has none."""
+    """Return fx, fy, cx, cy of a camera whose photo need not exist. size: its picture's, if the camera has none."""
     return _intrinsics(camera, camera.size or size, rescalable=True)
 
 
 def present(cameras: list[SourceCamera]) -> tuple[list[SourceCamera], list[SourceCamera]]:
-    """Cameras with a photo, and those without."""
+    """Return the cameras with a photo, and those without."""
     return [one for one in cameras if one.image is not None], [one for one in cameras if one.image is None]

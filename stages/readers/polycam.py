@@ -1,7 +1,7 @@
-"""Polycam's raw data (developer mode): one JSON a keyframe.
+"""Polycam's raw data (developer mode): one JSON file per keyframe.
 
 t_00 to t_23 are the rows of camera-to-world with ARKit's axes, x right, y up, z backward; fx, fy, cx, cy are pixels.
-The cameras that Polycam has optimized (corrected_cameras) go with pictures of their own (corrected_images).
+The cameras that Polycam has optimized (corrected_cameras) have separate pictures (corrected_images).
 """
 
 from pathlib import Path
@@ -21,10 +21,10 @@ MOST_BYTES = 1 << 20
 
 
 def read(source: Path, images: str) -> SourceScene:
-    """All keyframes, the optimized ones where there are such."""
+    """Read all keyframes, optimized ones if available."""
     folder = polycam_folder(source)
     if folder is None:
-        raise BadInput(f"{source} holds no keyframes of Polycam; export its raw data")
+        raise BadInput(f"{source} contains no Polycam keyframes; export its raw data")
     pairs = [(folder / cameras, folder / photos) for cameras, photos in POLYCAM]
     of_cameras, of_photos = next((a, b) for a, b in pairs if b.is_dir() and keyframes_in(a))
     photos = Folder(image_folder(source, images) if images else of_photos, None, str(of_cameras))

@@ -1,7 +1,7 @@
-"""Record3D's metadata.json beside rgb/ or rgbd/: one pose a frame.
+"""Record3D's metadata.json next to rgb/ or rgbd/: one pose per frame.
 
 A pose is (qx, qy, qz, qw, x, y, z), camera-to-world with ARKit's axes, x right, y up, z backward. K is 3x3, column by
-column; perFrameIntrinsicCoeffs, where they are there, are (fx, fy, cx, cy) of each frame. Frame N is N.jpg.
+column; perFrameIntrinsicCoeffs, if present, are (fx, fy, cx, cy) of each frame. Frame N is N.jpg.
 """
 
 import math
@@ -22,7 +22,7 @@ def read(source: Path, images: str) -> SourceScene:
     """Return the frames that have a photo, named by number."""
     path = record3d_file(source)
     if path is None:
-        raise BadInput(f"{source} holds no metadata.json of Record3D beside rgb or rgbd; export it as EXR + RGB")
+        raise BadInput(f"{source} contains no Record3D metadata.json next to rgb or rgbd; export it as EXR + RGB")
     content, root = read_json(path), path.parent
     poses = entry_of(content, "poses", str(path))
     if not isinstance(poses, list) or not poses:
@@ -31,9 +31,9 @@ def read(source: Path, images: str) -> SourceScene:
     folder = image_folder(root, images) if images else next(place for place in places if place.is_dir())
     photos = {int(photo.stem): photo for photo in images_in(folder) if photo.stem.isascii() and photo.stem.isdecimal()}
     if not photos:
-        raise BadInput(f"{folder} holds no frames of Record3D (0.jpg, 1.jpg, ...); name their folder with --images")
+        raise BadInput(f"{folder} contains no Record3D frames (0.jpg, 1.jpg, ...); name their folder with --images")
     if max(photos) >= len(poses):
-        raise BadInput(f"{path} holds {len(poses)} poses, but {photos[max(photos)]} is there, counted from 0")
+        raise BadInput(f"{path} has {len(poses)} poses, too few for {photos[max(photos)]} (frames count from 0)")
     intrinsics = _intrinsics(content, len(poses), str(path))
     cameras = [
         SourceCamera(

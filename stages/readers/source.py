@@ -1,4 +1,4 @@
-"""What every reader of poses returns: the source's cameras, in our axes but in the source's frame."""
+"""The result of every pose reader: the source's cameras, with our axes but in the source's frame."""
 
 import errno
 import math
@@ -66,12 +66,12 @@ class SourcePoints:
 
 @dataclass(frozen=True, eq=False)
 class SourceScene:
-    """All that a source holds.
+    """Everything that a source contains.
 
     Attributes:
         kind: The format, for the user.
         files: Files with the poses, if the reader lists them.
-        keeps_frame: The frame is that of a synthetic scene, worth keeping.
+        keeps_frame: The frame is that of a synthetic scene and should be kept.
         rescalable: Photos may be smaller copies of those that the intrinsics refer to.
         upright: Cameras refer to the photos as EXIF orients them, otherwise as stored.
         sfm: Figures of a reconstruction.
@@ -114,7 +114,7 @@ def find_image(path: Path) -> Path | None:
     """Return the file at `path`, or the image of that name if the suffix is missing or of another case, or if accents
     are composed differently; None if there is none."""
     parts, spelled = path.parts, {path: None}
-    for start in reversed(range(len(parts))):  # folders further up may be spelled otherwise than those below
+    for start in reversed(range(len(parts))):  # parent folders may be spelled differently than those below
         for form in ("NFC", "NFD"):
             spelled[Path(*parts[:start], *(unicodedata.normalize(form, part) for part in parts[start:]))] = None
     return next(filter(None, map(_spelled_so, spelled)), None)
@@ -161,7 +161,7 @@ def _mask_of(image: Path, root: Path) -> Path | None:
     """Find the mask of images_2/a/1.jpg: in masks_2/a, masks/images_2/a, masks/a or masks, else a/1_mask.png."""
     try:
         inner = Path(os.path.relpath(image.parent, root))
-    except ValueError:  # on Windows, where the photo is on another drive
+    except ValueError:  # on Windows, if the photo is on another drive
         inner = image.parent.relative_to(image.parent.anchor)
     above = [part for part in inner.parts if part != ".."]
     folders = [root.joinpath("masks", *above[start:]) for start in range(len(above) + 1)]
@@ -191,9 +191,9 @@ def masks_beside(folder: str) -> str:
 
 
 def unused_masks(cameras: Iterable[SourceCamera], source: Path) -> list[Path]:
-    """Find pictures in mask folders of the source, or next to its photos' folder, that are the mask of no camera.
+    """Find pictures in mask folders of the source, or next to its photos' folder, that are not used as a mask.
 
-    For photos in images_2, masks_2 counts too. Copies of one mask at several sizes count as one.
+    For photos in images_2, masks_2 is included. Copies of one mask at several sizes are counted once.
     """
     here = [one for one in cameras if one.image]
     folders = {source / "masks": None}
@@ -229,7 +229,7 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def folders_of_photos(folder: Path) -> Iterator[Path]:
-    """Yield `folder` and those below it, but hidden ones and the artifacts of a work folder."""
+    """Yield `folder` and its subfolders, except hidden ones and the artifacts of a work folder."""
     for place, below, files in os.walk(folder):
         below[:] = () if "manifest.json" in files else sorted(name for name in below if name[0] != ".")
         if "manifest.json" not in files:
@@ -237,7 +237,7 @@ def folders_of_photos(folder: Path) -> Iterator[Path]:
 
 
 def natural(text: str) -> tuple:
-    """Return a sort key by which numbers inside names compare as numbers."""
+    """Return a sort key that compares numbers inside names as numbers."""
     parts: list[tuple[int, int, str]] = []
     digits = ""
     for letter in text + "\0":
@@ -245,7 +245,7 @@ def natural(text: str) -> tuple:
             digits += letter
             continue
         if digits:
-            value = digits.lstrip("0")  # compared as text: int() refuses thousands of digits
+            value = digits.lstrip("0")  # compared as text: int() rejects thousands of digits
             parts.append((0, len(value), value))
             digits = ""
         parts.append((1, 0, letter))
@@ -262,4 +262,4 @@ def image_folder(root: Path, wanted: str) -> Path:
     for folder in (root / wanted, Path(wanted)):
         if folder.is_dir():
             return folder
-    raise BadInput(f"--images {wanted}: no such folder in {root}; name the folder of the photos")
+    raise BadInput(f"--images {wanted}: folder not found in {root}; name the folder of the photos")

@@ -1,7 +1,7 @@
 """Splats as a source: a PLY of 3D Gaussian splatting, seen from the cameras that it was made from, or others.
 
 3DGS's output folder holds point_cloud/iteration_N/point_cloud.ply and cameras.json; --cameras names other cameras:
-such a list, a COLMAP model or a transforms.json, all in the splats' frame. Photos need not be there.
+such a list, a COLMAP model or a transforms.json, all in the splats' frame. Photos need not exist.
 """
 
 from dataclasses import dataclass, replace
@@ -25,16 +25,16 @@ from stylerf.geometry.camera_conventions import checked_pose
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.distortion import pinhole_of
 
-if TYPE_CHECKING:  # brings numba, which no other import needs
+if TYPE_CHECKING:  # imports numba, which no other import needs
     from stylerf.kernels.cpu.splats import Gaussians
 
-# Longest side of a picture: 3DGS trains on at most so many columns, and shows no finer detail.
+# Longest side of a picture: 3DGS trains on at most this many columns, and shows no finer detail.
 LONGEST = 1600
-NEAR = 0.2  # least depth of a splat, in the file's units: nearer ones 3DGS neither trains nor shows
-# Alpha from which a pixel counts as opaque: splats leave a little light through what they were trained to cover.
+NEAR = 0.2  # least depth of a splat, in the file's units: 3DGS neither trains nor shows nearer ones
+# Alpha from which a pixel is treated as opaque: splats let a little light through what they were trained to cover.
 OPAQUE = 0.98
 MOST_CAMERAS = 20_000
-# Splats that are kept as the scene's sparse points: the most opaque.
+# Number of splats kept as the scene's sparse points: the most opaque.
 MOST_POINTS, POINT_OPACITY = 50_000, 0.5
 _C0 = 0.28209479177387814
 
@@ -48,7 +48,7 @@ class SplatFiles:
 
 
 def splats_in(source: Path) -> Path | None:
-    """Find the splats at `source`: a PLY of splats, or 3DGS's output folder, of which the last iteration counts."""
+    """Find the splats at `source`: a PLY of splats, or the last iteration in 3DGS's output folder."""
     if source.is_file():
         return source if source.suffix.lower() == ".ply" else None
     found: list[tuple[int, Path]] = []
@@ -66,7 +66,9 @@ def files_of(source: Path, cameras: str) -> SplatFiles:
     """Return the splats and their cameras: --cameras, or the cameras.json of the folder; BadInput if one is missing."""
     splats = splats_in(source)
     if splats is None:
-        raise BadInput(f"{source} holds no splats; give a .ply of splats or the output folder of 3D Gaussian splatting")
+        raise BadInput(
+            f"{source} contains no splats; give a .ply of splats or the output folder of 3D Gaussian splatting"
+        )
     if cameras:
         given = Path(cameras)
         if not given.exists():
@@ -78,7 +80,7 @@ def files_of(source: Path, cameras: str) -> SplatFiles:
         if (folder / "cameras.json").is_file():
             return SplatFiles(splats, folder / "cameras.json")
     raise BadInput(
-        f"{source} comes without cameras; name them with --cameras: cameras.json of 3DGS, a COLMAP model or a "
+        f"{source} comes without cameras; give them with --cameras: a 3DGS cameras.json, a COLMAP model or a "
         "transforms.json"
     )
 
@@ -116,21 +118,21 @@ def rendered(files: SplatFiles, folder: Path, context: Context) -> SourceScene:
             write_png(folder / name, _seen(gaussians, camera, files.splats, context.threads))
             journal.add([name])
         if _is_empty(folder / name):
-            empty.append((one.source, "it sees no splat"))
+            empty.append((one.source, "it sees no splats"))
         else:
             found.append(_of_render(one, camera, folder / name))
         context.progress.update(index + 1)
     context.progress.finish()
     if not found:
         raise BadInput(
-            f"{printable(str(files.cameras))}: no camera sees a splat of {printable(str(files.splats))}; give cameras "
-            "in the splats' own frame"
+            f"{printable(str(files.cameras))}: no camera sees any splat of {printable(str(files.splats))}; give "
+            "cameras in the coordinate frame of the splats"
         )
     return SourceScene(f"splats, {kind}", found, _points(gaussians), skipped=tuple(empty))
 
 
 def _is_list(path: Path) -> bool:
-    """Whether a file is 3DGS's cameras.json: a list, where transforms.json is an object."""
+    """Return whether a file is 3DGS's cameras.json: a list, while transforms.json is an object."""
     return path.is_file() and path.suffix.lower() == ".json" and isinstance(read_json(path), list)
 
 
@@ -144,9 +146,10 @@ def _cameras(path: Path) -> tuple[list[SourceCamera], str]:
 
 
 def _listed(path: Path) -> list[SourceCamera]:
-    """cameras.json of 3DGS: per camera its center, its rotation to the world by rows (OpenCV axes), and focal lengths.
+    """Read 3DGS's cameras.json: for each camera its center, rotation to the world by rows (OpenCV axes), and focal
+    lengths.
 
-    The principal point is the center, and there is no distortion: 3DGS knows neither.
+    The principal point is the center, and there is no distortion: 3DGS supports neither.
     """
     entries, shown = read_json(path), printable(str(path))
     if not 0 < len(entries) <= MOST_CAMERAS:
@@ -173,7 +176,7 @@ def _listed(path: Path) -> list[SourceCamera]:
 
 
 def _pinhole(one: SourceCamera) -> Camera:
-    """The camera without its distortion, of at most LONGEST pixels a side."""
+    """Return the camera without its distortion, of at most LONGEST pixels per side."""
     if one.size is None and one.image is None:
         raise BadInput(f"{one.source}: its camera has no size, and its photo is missing; give w and h")
     full = one.size or image_size(one.photo)

@@ -1,4 +1,4 @@
-"""Which photos are for training and which for tests: lists beside a COLMAP model, keys of a transforms.json."""
+"""Which photos are for training and which for tests: lists next to a COLMAP model, keys of a transforms.json."""
 
 import unicodedata
 from dataclasses import replace
@@ -10,7 +10,7 @@ from schemas.safe_reading import read_text
 from stages.readers.source import SourceCamera
 
 MOST_BYTES = 64 << 20
-# In the parent of the photos' folder, or of the model: the first set with any list counts.
+# In the parent of the photos' folder, or of the model: the first set with any list is used.
 OF_ROOT = (("train_list.txt", "train"), ("test_list.txt", "test"), ("validation_list.txt", "test"))
 OF_MODEL = (("train.txt", "train"), ("test.txt", "test"))
 
@@ -40,7 +40,7 @@ def with_splits(
         photos = {name: _photo(name, known) for name in names}
         found = set(filter(None, photos.values()))
         if not found:
-            remarks.append(f"{path} names no photo of the model and is not used")
+            remarks.append(f"{path} names no photo of the model and is ignored")
         elif unknown := [name for name, photo in photos.items() if not photo]:
             first = printable(unknown[0])
             remarks.append(f"{path}: {len(unknown)} names match no photo of the model (first: {first!r})")
@@ -102,16 +102,16 @@ class Splits:
         return "train_filenames" in self._lists and _spelled(file_path) not in self._splits
 
     def remarks(self, file_paths: list[str]) -> list[str]:
-        """Return what is odd about the lists, a line each."""
+        """Return what is unusual about the lists, one line each."""
         frames, lines = {_spelled(path) for path in file_paths}, []
         for key, names in self._lists.items():
             if lost := [name for spelled, name in names.items() if spelled not in frames]:
-                lines.append(f"{self._where}: {key} names {_few(lost)}, for which there is no frame")
+                lines.append(f"{self._where}: {key} names {_few(lost)} without a frame")
         tests = {name for key, names in self._lists.items() if KEYS[key] == "test" for name in names}
         if both := [name for spelled, name in self._lists.get("train_filenames", {}).items() if spelled in tests]:
             lines.append(f"{self._where}: {_few(both)} in both train and test lists: used for training only")
         if self._lists and "train_filenames" not in self._lists:
-            lines.append(f"{self._where} has no train_filenames: all frames but the test frames are trained on")
+            lines.append(f"{self._where} has no train_filenames: training on all frames except the test frames")
         return lines
 
 

@@ -35,7 +35,7 @@ _OF_FILES = {
     *transforms_lens.KEYS,
     *split_lists.KEYS,
 }
-# Keys that only configure another program's training, or place the scene, which is placed by its cameras here.
+# Keys that only configure another program's training, or place the scene, which here is placed by its cameras.
 _NEEDLESS = {
     *("aabb", "aabb_scale", "render_aabb", "scale", "offset", "up", "orientation_override", "scene_scale"),
     *("sharpness", "sharpen", "importance_sampling", "n_extra_learnable_dims", "enable_depth_loading", "rotation"),
@@ -94,7 +94,9 @@ def _other_lists(source: Path) -> list[str]:
     if not others:
         return []
     names = ", ".join(map(printable, others[:5])) + (", ..." if len(others) > 5 else "")
-    return [f"not used beside {' and '.join(sorted(read))}: {names}; to use one, give its path instead of the folder"]
+    return [
+        f"ignored in favor of {' and '.join(sorted(read))}: {names}; to use one, give its path instead of the folder"
+    ]
 
 
 def _content(path: Path) -> dict:
@@ -111,12 +113,13 @@ def _content(path: Path) -> dict:
         content = parsed(code, shown)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list):
         raise BadInput(
-            f"{shown} has no list `frames`; expected a transforms.json of Blender, instant-ngp or nerfstudio"
+            f"{shown} has no `frames` list; expected a transforms.json of Blender, instant-ngp or nerfstudio"
         )
     for index, frame in enumerate(content["frames"]):
         if not isinstance(frame, dict):
             raise BadInput(
-                f"{shown}: frame {index} is {printable(f'{frame!r:.40}')}, no object with file_path; export it again"
+                f"{shown}: frame {index} is {printable(f'{frame!r:.40}')}, expected an object with file_path; export "
+                "it again"
             )
     return content
 
@@ -180,7 +183,7 @@ def _listed(text: object, where: str) -> Path:
     if not path.strip("./ ") or max(map(len, parts)) > LONGEST_NAME or sum(map(len, parts)) > LONGEST_PATH:
         raise BadInput(f"{where} is {printable(f'{text!r:.60}')}, expected the path of a picture; export it again")
     if printable(path) != path:
-        raise BadInput(f"{where} is {printable(path)!r:.80}, which holds control characters; rename the picture")
+        raise BadInput(f"{where} is {printable(path)!r:.80}, which contains control characters; rename the picture")
     return Path(path)
 
 
@@ -227,7 +230,7 @@ class _Frames:
         )
 
     def remarks(self, frames: list[tuple]) -> list[str]:
-        """Return what was ignored or interpreted, a line each."""
+        """Return what was ignored or interpreted, one line each."""
         unread = {key: len(frames) for key in self.content.keys() - _OF_FILES - _NEEDLESS}
         for _, frame, _ in frames:
             for key in frame.keys() - _OF_FRAMES - _NEEDLESS:
@@ -238,8 +241,8 @@ class _Frames:
             self._say(f"{self.name}: not used: {names}")
         if self._scales:
             self._say(
-                f"{self.name}: the matrices of {len(self._scales)} frames are scaled, by {min(self._scales):.4g} "
-                f"to {max(self._scales):.4g}: their rotations are taken"
+                f"{self.name}: the matrices of {len(self._scales)} frames are scaled, by {min(self._scales):.4g} to "
+                f"{max(self._scales):.4g}: only their rotations are used"
             )
         return list(dict.fromkeys(self._said))[:8]
 
@@ -253,7 +256,7 @@ class _Frames:
         return self._found(listed)
 
     def _take(self, photo: Path, listed: Path) -> None:
-        """Refuse a photo that another listed path has too: it shows what only one of the cameras saw."""
+        """Reject a photo that another listed path also resolves to: it shows what only one of the cameras saw."""
         path = unicodedata.normalize("NFC", os.path.normpath(bare(listed)))
         if (other := self._taken.setdefault(photo, path)) != path:
             raise BadInput(
@@ -262,18 +265,20 @@ class _Frames:
             )
 
     def _found(self, listed: Path) -> Path | None:
-        """Find the photo at its listed path; for an absolute path of another machine, by the end of it."""
+        """Find the photo at its listed path; for an absolute path from another machine, by the end of the path."""
         if found := find_image(self.root / listed):
             if not Path(os.path.abspath(found)).is_relative_to(os.path.abspath(self.root)):
-                self._say(f"{self.name}: pictures from outside of its folder are used: {printable(str(listed))}")
+                self._say(f"{self.name}: using pictures outside its folder: {printable(str(listed))}")
             for companion in (f"{found.stem}.alpha{found.suffix}", f"{found.name}.alpha{found.suffix}"):
                 if is_file(found.parent / companion):
-                    self._say(f"{self.name}: not used: alpha of its own beside photos, as {printable(companion)}")
+                    self._say(
+                        f"{self.name}: not used: separate alpha files next to photos, such as {printable(companion)}"
+                    )
             return found
         if not (listed.is_absolute() or PureWindowsPath(listed).drive):
             return None
         if found := _copy_in(self.root, listed):
-            self._say(f"{self.name}: its photos are looked for by the ends of their paths, beside it")
+            self._say(f"{self.name}: looking for its photos next to it by the ends of their paths")
         return found
 
     def _size(self, numbers: Numbers, listed: Path, photo: Path | None) -> tuple[int, int] | None:
@@ -286,14 +291,14 @@ class _Frames:
             there = image_size(original, upright=False)
             return width or there[0], height or there[1]
         if self.images and photo and any(map(numbers.has, ("fl_x", "fl_y", "cx", "cy"))):
-            self._say(f"{self.name} has no w and h: its lens is assumed to be that of the photos of --images")
+            self._say(f"{self.name} has no w and h: assuming that its lens is that of the photos in --images")
         return None
 
     def _pose(self, frame: dict, where: str) -> np.ndarray:
         matrix = _matrix(frame["transform_matrix"], f"{where}: transform_matrix")
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         mean = float(lengths.mean())
-        # One scale of all three axes leaves directions what they are: instant-ngp and nerfstudio do not notice it.
+        # A common scale of all three axes preserves directions: instant-ngp and nerfstudio do not notice it.
         if mean > 0 and np.ptp(lengths) < ROTATION_TOLERANCE * mean and abs(mean - 1) > ROTATION_TOLERANCE / 2:
             matrix[:3, :3] /= mean
             self._scales.append(mean)
@@ -340,7 +345,7 @@ def _matrix(values: object, where: str) -> np.ndarray:
     if matrix.shape not in ((3, 4), (4, 4)):
         raise BadInput(f"{where} is not a 4x4 matrix; export it again")
     if not np.isfinite(matrix).all():
-        raise BadInput(f"{where} holds NaN or infinity; repair it or remove the photo from the list")
+        raise BadInput(f"{where} contains NaN or infinity; repair it or remove the photo from the list")
     if len(matrix) == 4 and not np.allclose(matrix[3], [0, 0, 0, 1], rtol=0, atol=1e-6):
         raise BadInput(f"{where} has {matrix[3].tolist()} as its last row, expected 0 0 0 1; is it transposed?")
     return with_last_row(matrix)

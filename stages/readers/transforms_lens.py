@@ -1,4 +1,4 @@
-"""Lenses of a transforms.json: focal lengths, centers, sizes and distortion; a frame's own override the file's."""
+"""Lenses of a transforms.json: focal lengths, centers, sizes and distortion; a frame's values override the file's."""
 
 import math
 from collections.abc import Iterable
@@ -36,7 +36,7 @@ class Numbers:
         return self.frame.get(key, self.content.get(key, default))
 
     def get(self, key: str, default: float = math.nan) -> float:
-        """Return a number; a string of digits is one too, as for nerfstudio."""
+        """Return a number; a string of digits is accepted too, as in nerfstudio."""
         return self.number(self.raw(key, default), key)
 
     def number(self, value: object, key: str) -> float:
@@ -47,7 +47,7 @@ class Numbers:
             except ValueError:
                 pass
             except OverflowError as error:
-                raise BadInput(f"{self.where}: {key} is beyond all numbers; export it again") from error
+                raise BadInput(f"{self.where}: {key} is out of range; export it again") from error
         shown = printable(f"{value!r:.40}")
         raise BadInput(f"{self.where}: {key} is {shown}, expected a number; export it again")
 
@@ -64,8 +64,8 @@ class Numbers:
 def intrinsics(numbers: Numbers) -> tuple[tuple[float, float, float, float], tuple[float, float]]:
     """(fx, fy, cx, cy) in pixels and the horizontal and vertical angles in radians, NaN if missing.
 
-    A frame with a focal length of its own, of either axis, takes none from the file. Of one place, fl_x comes before
-    x_fov (degrees) before camera_angle_x (radians). BadInput if both axes are missing.
+    A frame with its own focal length, of either axis, takes none from the file. Within one, fl_x has priority over
+    x_fov (degrees) over camera_angle_x (radians). BadInput if both axes are missing.
     """
     keys = _keys("x") | _keys("y")
     level = next((one for one in (numbers.frame, numbers.content) if keys & one.keys()), {})
@@ -100,7 +100,7 @@ def _focal(numbers: Numbers, level: dict, key: str) -> float:
         return math.nan
     value = numbers.number(level[key], key)
     if not math.isfinite(value):
-        raise BadInput(f"{numbers.where}: {key} is {value:g}, a focal length must be positive; repair the camera")
+        raise BadInput(f"{numbers.where}: {key} is {value:g}, but a focal length must be positive; repair the camera")
     return value
 
 
@@ -126,7 +126,7 @@ def _in_pixels(values: dict[str, float], side: int) -> Iterable[tuple[str, float
 
 
 def distortion(numbers: Numbers) -> Distortion:
-    """Return the distortion; BadInput unless it is Brown's of a pinhole or that of a Kannala-Brandt fisheye."""
+    """Return the distortion; BadInput unless it is a pinhole's Brown model or a Kannala-Brandt fisheye."""
     model = printable(str(numbers.raw("camera_model", "OPENCV"))).upper()
     other = next((key for key in _OTHER_LENSES if numbers.raw(key, False) not in (False, None)), None)
     fisheye = numbers.raw("is_fisheye", False)

@@ -1,4 +1,4 @@
-"""Recognizes poses of unsupported formats by their files, so that they are reported, not silently ignored."""
+"""Recognizes poses of unsupported formats by their files, so that they are reported and not silently ignored."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Clips of video: which files count, and the frames that are taken from them as photos."""
+"""Video clips: which files are clips, and the frames that are taken from them as photos."""
 
 import json
 from collections.abc import Iterator
@@ -18,16 +18,16 @@ from stages.run.progress import Context
 from stylerf.geometry.frame_choice import MOTION_SIDE, SHARPNESS_SIDE, chosen_frames, motion_between, sharpness
 
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")
-# Motion of a whole capture, in shares of the picture's longer side, below which it shows no depth.
+# Motion of a whole capture, relative to the picture's longer side, below which it shows no depth.
 LEAST_MOTION = 0.05
-MEASURED = 30  # frames for each that is chosen, about: neighbors of a long clip differ little
+MEASURED = 30  # examined frames per chosen one, roughly: neighbors in a long clip differ little
 CHOICE = "choice.json"
-LONGEST_STEM = 80  # bytes of a clip's name in those of its frames: file systems take 255
+LONGEST_STEM = 80  # bytes of a clip's name in the names of its frames: file systems allow 255
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What choosing needs to know of each frame of all clips: arrays [n]."""
+    """What the choice needs to know about each frame of all clips: arrays [n]."""
 
     clip: np.ndarray
     number: np.ndarray
@@ -65,8 +65,10 @@ def frames_as_photos(clips: list[Path], count: int, folder: Path, context: Conte
         write_json(folder / CHOICE, {"frames": entries, "of": len(measured.time), "blurred": blurred})
         journal.add([CHOICE])
     choice = json.loads((folder / CHOICE).read_text("utf-8"))
-    left_out = f"; left out {choice['blurred']} where all are blurred" if choice["blurred"] else ""
-    context.progress.say(f"chose {len(choice['frames'])} of {choice['of']} frames, even in motion and sharp{left_out}")
+    left_out = f"; left out {choice['blurred']} where all frames are blurred" if choice["blurred"] else ""
+    context.progress.say(
+        f"chose {len(choice['frames'])} of {choice['of']} frames, sharp ones at even steps of motion{left_out}"
+    )
     return list(_written(clips, choice["frames"], folder, journal, context))
 
 
@@ -90,8 +92,8 @@ def _check_motion(measured: Measured, clips: list[Path]) -> None:
     total = np.nansum(measured.motion)
     if total < LEAST_MOTION and not np.isnan(measured.motion).any():
         raise BadInput(
-            f"{printable(clips[0].name)}: the picture moves by {total:.1%} of its side in {len(measured.time)} frames; "
-            "depth needs a camera that moves around the scene"
+            f"{printable(clips[0].name)}: the picture moves by {total:.1%} of its side in {len(measured.time)} "
+            "frames; depth can only be found if the camera moves around the scene"
         )
 
 
@@ -111,17 +113,17 @@ def _written(
                 missing.discard(frame.number)
                 context.progress.update(done + len(wanted) - len(missing))
         if missing:
-            raise BadInput(f"{printable(str(path))} changed while it was read; run the import again")
+            raise BadInput(f"{printable(str(path))} changed while being read; run the import again")
         done += len(wanted)
         yield from ((folder / names[number], clip) for number in sorted(wanted, key=wanted.__getitem__))
     context.progress.finish()
 
 
 def _name(path: Path, clip: int, digits: int, clips: int, time: float) -> str:
-    """The clip's name and the frame's time; clips are numbered where there are several, as two may have one stem."""
+    """Return the clip's name and the frame's time; several clips are numbered, as two may have the same stem."""
     lead = f"{clip:0{digits}d}-" if clips > 1 else ""
     stem = printable(path.stem).encode()[:LONGEST_STEM].decode("utf-8", "ignore")
-    # Microseconds: no two frames of a clip have one time.
+    # Microseconds: no two frames of a clip have the same time.
     return f"{lead}{stem}-{time:012.6f}s.png"
 
 

@@ -40,7 +40,7 @@ SETTINGS: dict[Any, Any] = {  # the type of matplotlib's keys is newer than the 
 
 @dataclass(frozen=True)
 class Chart:
-    """A finished chart. description: what it shows, as the text alternative."""
+    """A finished chart. description: its content, as the text alternative."""
 
     name: str
     title: str
@@ -171,7 +171,7 @@ def finish(drawing: Drawing, name: str, title: str, description: str) -> Chart:
 def evaluation_charts(
     stylized: bool, rows: Sequence[Row], pairs: Sequence[Row], curve: dict | None, gap: int, style_label: str
 ) -> list[Chart]:
-    """The charts there is data for: the leading metric per view, quality against time, consistency along the path."""
+    """Draw the charts that have data: the leading metric per view, quality against time, consistency along the path."""
     charts = []
     key, title, unit = ("sifid", f"SIFID-style distance to {style_label}", "") if stylized else ("psnr", "PSNR", "dB")
     values = [number_in(row, key) for row in rows]

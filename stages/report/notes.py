@@ -11,7 +11,7 @@ from stages.weights.sources import OBTAIN_ST
 
 @dataclass(frozen=True)
 class Inputs:
-    """What an evaluation had as input, as far as it decides what can be measured."""
+    """The inputs of an evaluation, as far as they determine what can be measured."""
 
     stylized: bool
     style_image: bool
@@ -87,17 +87,21 @@ def _style_notes(have: Inputs) -> list[dict]:
     notes.append(
         _note(
             "ArtFID",
-            "It needs an Inception network trained on art (art_inception.pth), which no known package carries. The "
-            "SIFID-style distance stands in for its style term, content SSIM for its content term.",
+            "It needs an Inception network trained on art (art_inception.pth), which no known package provides. The "
+            "SIFID-style distance replaces its style term, content SSIM its content term.",
         )
     )
-    notes.append(_note("Aesthetic quality", "No metric measures it; look, or ask people: stylerf compare --pairs."))
+    notes.append(
+        _note(
+            "Aesthetic quality", "No metric measures it; judge by eye, or collect votes with `stylerf compare --pairs`."
+        )
+    )
     return notes
 
 
 def _consistency_notes(have: Inputs) -> list[dict]:
     if not have.path:
-        why = "No frames of a camera path were given, and held-out views are too far apart."
+        why = "No frames along a camera path were given, and held-out views are too far apart."
         return [_note("Multi-view consistency", why)]
     notes = []
     if have.path_length < 2:
@@ -123,14 +127,14 @@ def _consistency_notes(have: Inputs) -> list[dict]:
 def _region_notes(have: Inputs) -> list[dict]:
     what = "Consistency within the region"
     if have.masks:
-        return [_note(what, "The masks given by --masks are of other views; use --region without --masks.")]
+        return [_note(what, "The masks given by --masks are for other views; use --region without --masks.")]
     if have.consistency not in ("correct", "all"):
         return [_note(what, "It needs --consistency correct or all.")]
     return []
 
 
 def _no_perceptual(have: Inputs) -> str:
-    """Why neither LPIPS nor ST-LPIPS was measured; empty if one was."""
+    """Return why neither LPIPS nor ST-LPIPS was measured; empty if one was."""
     if not have.perceptual_wanted:
         return "Turned off by --perceptual none."
     if not have.large_enough:
@@ -147,7 +151,7 @@ def _note(what: str, why: str) -> dict:
 def warnings_of(
     rows: Sequence[Row], pairs: Sequence[Row], stages: Sequence[Made], unmatched: list[str], resized: int
 ) -> list[str]:
-    """What a reader must know before trusting a metric."""
+    """Return what a reader must know before trusting a metric."""
     found = []
     incomplete = [row for row in rows if row.get("remark")]
     if incomplete:

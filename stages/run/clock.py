@@ -38,7 +38,7 @@ def peak_memory_mb() -> float:
 
 
 def _children_peak_mb() -> float:
-    if resource is None:  # Windows keeps no record of them
+    if resource is None:  # Windows does not record them
         return 0.0
     return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _RSS_UNIT / 1e6
 
@@ -81,7 +81,7 @@ class Clock:
     def peak_mb(self) -> float:
         """Peak memory of this process, its children and the interrupted runs, MB."""
         children = _children_peak_mb()
-        # The system keeps the peak of all children ever: an older stage's must not count for this one.
+        # The system keeps the peak of all children so far: an earlier stage's must not be charged to this one.
         grown = children if children > self._children_before else 0.0
         return max(self._before["peak_memory_mb"], peak_memory_mb(), grown)
 
@@ -95,7 +95,7 @@ class Clock:
             self._save()
 
     def _save(self) -> None:
-        # The stage reports a full disk; a measurement is not worth ending a run.
+        # The stage reports a full disk; a measurement is not worth aborting a run.
         with suppress(OutOfResources, OSError):
             if self._file.parent.is_dir():
                 write_json(self._file, {"seconds": self.seconds, "peak_memory_mb": self.peak_mb, "runs": self.runs})

@@ -30,21 +30,21 @@ def gpu_of(context: Context, field: Any = None, moving: bool = False) -> str | N
         from stylerf.fields.gpu.field import unsupported
 
         why = unsupported(field, moving)
-    # A process that fell back to the CPU by itself would wait for sums that the others add on their GPUs.
+    # A process that fell back to the CPU on its own would wait for sums that the others compute on their GPUs.
     lacking = np.array([why is not None], np.float32)
     context.processes.add(lacking)
     if 0 < lacking[0] < context.processes.count:
         raise OutOfResources(
-            f"{lacking[0]:.0f} of {context.processes.count} processes that train together cannot compute on their GPU "
-            f"(process {context.processes.place} {f'cannot: {why}' if why else 'can'}); make their machines alike "
-            "(`stylerf doctor` on each), or run with --device cpu"
+            f"{lacking[0]:.0f} of {context.processes.count} processes that train together cannot use their GPU "
+            f"(process {context.processes.place} {f'cannot: {why}' if why else 'can'}); set their machines up alike "
+            "(check with `stylerf doctor` on each), or run with --device cpu"
         )
     if why is None:
         import torch
 
         torch.cuda.reset_peak_memory_stats()
         if triton_not_kept:
-            context.progress.say(f"compiling the GPU's kernels for this run alone: {triton_not_kept}")
+            context.progress.say(f"compiling GPU kernels for this run only: {triton_not_kept}")
         return "cuda"
     context.progress.say(f"computing on the CPU: {why}")
     return None

@@ -74,7 +74,7 @@ try:
 except ImportError:  # not needed on Linux, where /proc has the same figures
     psutil = None
 
-FREE_SHARE = 0.75  # of free memory, without --memory: leaves some to the rest of the machine
+FREE_SHARE = 0.75  # of free memory, without --memory: leaves some for the rest of the machine
 UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
 MIN_LIMIT = 256 * 10**6  # bytes; the program alone takes more
 
@@ -86,7 +86,7 @@ def bytes_of(text: str) -> int:
         raise ValueError(f"{text!r} is not an amount of memory such as 512M or 8G")
     found = int(float(match[1]) * UNITS[match[2].upper()])
     if found < MIN_LIMIT:
-        raise ValueError(f"{text!r} is less than the program alone takes; at least {in_words(MIN_LIMIT)} is needed")
+        raise ValueError(f"{text!r} is less than the program itself needs; give at least {in_words(MIN_LIMIT)}")
     return found
 
 
@@ -103,7 +103,7 @@ def used() -> int:
 
 
 def free() -> int:
-    """Bytes that processes can still take: of the machine, and of the groups that bound this process."""
+    """Return the bytes that processes can still allocate, on the machine and in the groups that limit this process."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
         found = int(next(line for line in lines if line.startswith("MemAvailable:")).split()[1]) * 1024
@@ -114,7 +114,7 @@ def free() -> int:
 
 
 def available_bytes(bound: int) -> int:
-    """Return the bytes that this process may allocate on top of what it uses.
+    """Return the bytes that this process may allocate in addition to what it uses.
 
     Args:
         bound: limit of the whole process, bytes; 0 for FREE_SHARE of free memory, shared among the processes that a

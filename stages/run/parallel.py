@@ -1,4 +1,4 @@
-"""Work on several items at once, in threads: for codecs and numpy, which let other threads run."""
+"""Processes several items at once in threads: for codecs and numpy, which let other threads run."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 def in_order(work: Callable[[Item], Result], items: Iterable[Item], at_once: int) -> Iterator[Result]:
     """Yield `work(item)` of each item in their order, with at most `at_once` of them in progress or waiting to be read.
 
-    What `work` raises is raised here, for the first item in order that failed. Leaving early waits for items in
+    Exceptions of `work` are raised here, for the first item in order that failed. Leaving early waits for items in
     progress. With `at_once` 1 nothing runs in another thread.
     """
     if at_once <= 1:

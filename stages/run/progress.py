@@ -13,7 +13,7 @@ class Progress(Protocol):
         """Open a bar of `total` units, None if the length is unknown."""
 
     def update(self, done: float, note: str = "") -> None:
-        """Report that `done` units are finished. note: the present quality, such as '27.1 dB'."""
+        """Report that `done` units are finished. note: the current quality, such as '27.1 dB'."""
 
     def finish(self) -> None:
         """Close the open bar."""
@@ -39,8 +39,8 @@ class Context:
     """What a stage runs with besides inputs and options. Only the seed affects results.
 
     device: `cpu` or `cuda`. memory: bytes that the process may use, 0 for most of what is free. rebuild: reuse nothing
-    of earlier runs. no_paths: record files outside the work folder by name, without their folders. processes: the
-    processes that run a stage together.
+    from earlier runs. no_paths: record files outside the work folder by name only. processes: the processes that run a
+    stage together.
     """
 
     seed: int = 0

@@ -42,9 +42,9 @@ RECORDED_PACKAGES = {
 class Spec:
     """A stage: its name, the verb that runs it, its revision, and the kind of artifact that it writes.
 
-    Raise `revision` if the same inputs and options give another result than before. parallel: several processes can run
-    it together (Context.processes). outside: for a stage that reads files other than artifacts; returns their present
-    digests, by the option that holds the digest they had when the stage was requested.
+    Raise `revision` if the same inputs and options give a different result than before. parallel: several processes can
+    run it together (Context.processes). outside: for a stage that reads files other than artifacts; returns their
+    current digests, by the option with the digest they had when the stage was requested.
     """
 
     stage: str
@@ -102,12 +102,13 @@ def execute(
     again before the result is committed, since they may change meanwhile. An interrupted run of the same recipe
     resumes. The result replaces an older artifact of the same name by one rename.
 
-    An interruption, a refusal of the machine (memory, space, permission, a failing disk) and faults that say so leave
-    the partial run for the next one to resume. After any other fault it is deleted: the same state would fail again.
+    After an interruption, a failure of the machine (memory, space, permission, a failing disk) or a fault with
+    `keeps_run`, the partial run is kept for the next run to resume. After any other fault it is deleted: the same state
+    would fail again.
 
     Args:
         force: rebuild an artifact that is up to date.
-        protect: do not discard a minute's work or more with other options silently: an interrupted run raises
+        protect: do not silently discard a minute's work or more with other options: an interrupted run raises
             ArtifactStale, a finished artifact is announced before it is replaced.
 
     Returns:
@@ -159,8 +160,8 @@ def execute(
 
 
 def announce_replacement(work: WorkFolder, spec: Spec, name: str, recipe: Recipe, progress: Progress) -> None:
-    """Say so if an artifact that took a minute or more is about to be replaced by one of another recipe."""
-    with suppress(StylerfError):  # a missing or unreadable artifact is no loss
+    """Report if an artifact that took a minute or more is about to be replaced by one with another recipe."""
+    with suppress(StylerfError):  # losing a missing or unreadable artifact does not matter
         made = Artifact(work.root / spec.writes / name).manifest
         before = Recipe(made.stage, made.revision, made.config, made.inputs, made.seed)
         if made.recipe != recipe.digest and made.seconds >= EXPENSIVE_SECONDS:
@@ -195,32 +196,32 @@ def _verify(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact]) -> None:
         artifact.verify()
         if artifact.digest != named[role]:
             raise ArtifactStale(
-                f"{artifact.kind} {artifact.name} was rebuilt while `stylerf {spec.verb}` read it; rerun the same "
-                "command"
+                f"{artifact.kind} {artifact.name} was rebuilt while `stylerf {spec.verb}` was using it; rerun the "
+                "same command"
             )
 
 
 def _refuse_changed(spec: Spec, recipe: Recipe, inputs: dict[str, Artifact], config: Any) -> None:
-    """Do as _verify, and raise BadInput if a file outside the work folder changed since the run began.
+    """Do the same as _verify, and raise BadInput if a file outside the work folder changed since the run began.
 
-    Raises InputGone, which keeps the run, if one is no longer there.
+    Raises InputGone, which keeps the run, if one no longer exists.
     """
     _verify(spec, recipe, inputs)
     try:
         outside = spec.outside(config) if spec.outside else {}
     except FileNotFoundError as error:
         raise InputGone(
-            f"{error.filename} is gone, which `stylerf {spec.verb}` needs to the end; put it back and rerun the same "
+            f"{error.filename} was removed while `stylerf {spec.verb}` needed it; put it back and rerun the same "
             "command"
         ) from error
     except BadInput as error:
         raise InputGone(
-            f"{error}; `stylerf {spec.verb}` needs it to the end: put it back and rerun the same command"
+            f"{error}; `stylerf {spec.verb}` needs it until it finishes: put it back and rerun the same command"
         ) from error
     for option, digest in outside.items():
         if getattr(config, option) not in ("", digest):
             what = option.removesuffix("_digest")
-            raise BadInput(f"--{what} changed while `stylerf {spec.verb}` read it; rerun the same command")
+            raise BadInput(f"--{what} changed while `stylerf {spec.verb}` was using it; rerun the same command")
 
 
 def versions() -> dict[str, str]:
@@ -230,13 +231,13 @@ def versions() -> dict[str, str]:
     for module, package in names.items():
         try:
             found[module] = version(package)
-        except PackageNotFoundError:  # run from a checkout or a hand-made path
+        except PackageNotFoundError:  # run from a checkout or a manually set path
             found[module] = str(getattr(sys.modules.get(module), "__version__", "not installed"))
     return found
 
 
 def _keeps_run(error: BaseException) -> bool:
-    """Whether a partial run can resume after `error`: the fault says so, or an I/O error caused it."""
+    """Return whether a partial run can resume after `error`: the fault keeps it, or an I/O error caused it."""
     if isinstance(error, StylerfError) and error.keeps_run:
         return True
     behind: BaseException | None = error
@@ -249,7 +250,7 @@ def _keeps_run(error: BaseException) -> bool:
 
 
 def _passes(error: OSError) -> bool:
-    """Whether a rerun may get past the error; a path that does not exist fails again."""
+    """Return whether a rerun may succeed; a path that does not exist fails again."""
     return error.errno not in (errno.ENOENT, errno.ENOTDIR, errno.EISDIR)
 
 

@@ -1,4 +1,4 @@
-"""The loop of stages that train: checkpoints at intervals and on Ctrl-C, resuming, faults as errors."""
+"""The loop of training stages: checkpoints at intervals and on Ctrl-C, resuming, faults as errors."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def save_checkpoint(folder: Path, data: dict[str, Any], arrays: dict[str, np.nda
     digest = save_tensors_with_digest(writing, arrays, {"state": json.dumps(data)})
     os.replace(writing, folder / f"{number:06d}-{digest}.safetensors")
     sync_folder(folder)
-    # Deleted last, so that a kill leaves one too many and never one too few.
+    # Deleted last, so that a kill leaves one too many, never one too few.
     for _, _, path in earlier[KEPT - 1 :]:
         path.unlink(missing_ok=True)
 
@@ -84,7 +84,7 @@ def resumed(trainer: Resumable, partial: PartialArtifact, context: Context) -> b
     """Resume from the newest undamaged checkpoint, in every process; return whether there was one.
 
     Raises:
-        ArtifactDamaged: the checkpoint is none of this trainer.
+        ArtifactDamaged: the checkpoint is not one of this trainer.
     """
     processes = context.processes
     # Only the first reads the disk: others may be on other machines.
@@ -97,7 +97,7 @@ def resumed(trainer: Resumable, partial: PartialArtifact, context: Context) -> b
 
 
 class Trainer(Protocol[Step_co]):
-    """What the loop runs. between_steps: whether the state is that of whole steps."""
+    """The trainer that the loop runs. between_steps: whether the state is that of complete steps."""
 
     @property
     def between_steps(self) -> bool: ...
@@ -147,7 +147,7 @@ def run_training(
     try:
         trainer.run(on_step)
     except KeyboardInterrupt:
-        # An interrupted step may have left half a gradient: save whole steps only.
+        # An interrupted step may have left half a gradient: save only complete steps.
         if trainer.between_steps:
             save()
         raise

@@ -1,4 +1,4 @@
-"""Structure from motion: the steps that the child process `stages.sfm.child` takes, each kept when it is finished.
+"""Structure from motion: the steps of the child process `stages.sfm.child`, each saved when finished.
 
 photos -> copies, database (features, then matches) -> model/ -> result.json, all in one folder.
 """

@@ -20,9 +20,10 @@ from stages.sfm.job import Job, JobProgress
 from stages.sfm.photo_copies import COPIES, MASKS, Copy
 from stylerf.environment.colmap import pycolmap
 
-# Above this many photos `auto` takes neighbors only, if the names count frames: all pairs grow with the square.
+# Above this many photos `auto` matches only neighbors, if the names are numbered like frames: all pairs grow with the
+# square.
 MOST_FOR_ALL_PAIRS = 80
-# Neighbors of a frame that it is compared with, and every how many-th frame is a key frame.
+# The number of neighbors that a frame is compared with, and the interval of key frames.
 OVERLAP, KEY_FRAME_EVERY = 10, 8
 _NUMBER = re.compile(r"(\d+)(?=\D*$)")
 
@@ -36,8 +37,8 @@ def chosen_matching(wanted: str, names: list[str], video: bool = False) -> tuple
     if video:
         return "sequential", "frames of video follow each other"
     if _are_frames(names):
-        return "sequential", f"the names of the {len(names)} photos count frames"
-    return "exhaustive", f"the names of the {len(names)} photos do not count frames, so any two may overlap"
+        return "sequential", f"the names of the {len(names)} photos are numbered like frames"
+    return "exhaustive", f"the names of the {len(names)} photos are not numbered like frames, so any two may overlap"
 
 
 def _are_frames(names: list[str]) -> bool:
@@ -74,7 +75,7 @@ def pairs(count: int, matching: str, clips: Sequence[int] = ()) -> list[tuple[in
     return near + sorted(far - set(near))
 
 
-# What is computed row by row, so that a lost row is simply found again.
+# Tables that are computed row by row, so that a lost row is simply recomputed.
 COMPUTED = ("keypoints", "descriptors", "matches", "two_view_geometries")
 INPUTS = ("rigs", "rig_sensors", "cameras", "frames", "frame_data", "images", "pose_priors")
 
@@ -94,18 +95,18 @@ class Rows:
                     continue
 
     def record(self) -> None:
-        """Takes the digests of all rows that have none yet."""
+        """Record the digests of all rows that have none yet."""
         with closing(self._open()) as database:
             fresh = {row: _digest(database, *row) for row in _stored_rows(database) if row not in self._digests}
-        # A line of its own also where an earlier write was cut short.
+        # A separate line even if an earlier write was cut short.
         text = "\n" + "".join(json.dumps([*row, digest]) + "\n" for row, digest in fresh.items())
         with open(self._journal, "a", encoding="utf-8") as stream:
             stream.write(text)
         self._digests |= fresh
 
     def sound(self) -> bool:
-        """Whether all rows with a digest are as they were. Computed rows without one, of a step cut short, are deleted,
-        so that they are computed again."""
+        """Return whether all rows with a digest are unchanged. Computed rows without one, from an interrupted step, are
+        deleted, so that they are computed again."""
         try:
             with closing(self._open()) as database:
                 held = set(_stored_rows(database))
@@ -140,7 +141,7 @@ def _digest(database: sqlite3.Connection, table: str, number: int) -> str:
 
 
 DATABASE, REGISTERED, ROWS = "database.db", "registered", "rows.jsonl"
-# One radial coefficient: with few photos more of them are free to explain errors away; refinement adds the second.
+# One radial coefficient: with few photos, more of them would explain errors away; refinement adds the second.
 CAMERA_MODEL = "SIMPLE_RADIAL"
 PHOTOS_AT_ONCE = 4
 # The octave of twice the photo's size costs four times all others and holds the least repeatable features: it is
@@ -149,7 +150,7 @@ SMALL_PHOTO = 800
 
 
 def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
-    """The database with its cameras and photos, in this order whatever happens later: numbers are repeatable."""
+    """Create the database with its cameras and photos in a fixed order, so that numbers are reproducible."""
     folder = Path(job.folder)
     path, done = folder / DATABASE, folder / REGISTERED
     if done.is_file():
@@ -170,7 +171,7 @@ def register(job: Job, copies: list[Copy], progress: JobProgress) -> Path:
     with pycolmap.Database.open(path) as database:
         found = database.num_images()
     if found != len(copies):
-        raise BadInput(f"COLMAP took in {found} of {len(copies)} photos; remove unusual ones and run again")
+        raise BadInput(f"COLMAP accepted only {found} of {len(copies)} photos; remove unusual ones and run again")
     rows_of(path).record()
     write_bytes(done, b"")
     return path
@@ -192,7 +193,7 @@ def _by_lens(job: Job, copies: list[Copy]) -> list[list[Copy]]:
 
 
 def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> None:
-    """SIFT features of every photo; BadInput where hardly any has some."""
+    """Compute SIFT features of every photo; BadInput if hardly any photo has some."""
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = job.threads, False
     options.sift.max_num_features = job.features
@@ -204,7 +205,7 @@ def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> 
         reader = pycolmap.ImageReaderOptions()
         if part[0].cut_out:
             reader.mask_path = Path(job.folder) / MASKS
-        mode = pycolmap.CameraMode.AUTO  # cameras are there already
+        mode = pycolmap.CameraMode.AUTO  # cameras already exist
         names = [copy.file for copy in part]
         pycolmap.extract_features(path, Path(job.folder) / COPIES, names, mode, reader, options)
         rows.record()
@@ -213,8 +214,8 @@ def extract(job: Job, path: Path, copies: list[Copy], progress: JobProgress) -> 
 
 
 def _in_parts(copies: list[Copy]) -> Iterator[list[Copy]]:
-    """A few at a time, those with masks apart: where COLMAP knows a folder of masks it finds nothing in photos that
-    have none there."""
+    """A few at a time, photos with masks separately: given a folder of masks, COLMAP finds nothing in photos without
+    one there."""
     for _, group in groupby(copies, lambda copy: copy.cut_out):
         alike = list(group)
         for start in range(0, len(alike), PHOTOS_AT_ONCE):
@@ -255,7 +256,7 @@ def pairs_of(job: Job, copies: list[Copy]) -> list[tuple[int, int]]:
 
 
 def _clip_of(job: Job, copy: Copy) -> int:
-    # By its number: the photo may have been moved since an interrupted run made the copy.
+    # By number: the photo may have been moved since an interrupted run made the copy.
     return job.clips[int(Path(copy.file).stem)] if job.clips else 0
 
 

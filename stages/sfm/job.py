@@ -50,7 +50,7 @@ class Job:
     @staticmethod
     def read(path: Path) -> "Job":
         """Read what `write` wrote."""
-        content = json.loads(path.read_text("utf-8", "surrogatepass"))  # names of files may be of any bytes
+        content = json.loads(path.read_text("utf-8", "surrogatepass"))  # file names may contain any bytes
         lists = {"photos": tuple(content["photos"]), "masks": tuple(map(tuple, content["masks"]))}
         return Job(**{**content, **lists, "clips": tuple(content["clips"])})
 
@@ -67,7 +67,7 @@ class JobProgress:
         self._stream = stream or sys.stdout
 
     def started(self) -> None:
-        """Report that every library is loaded: from here on, a death may be due to the photos."""
+        """Report that every library is loaded: from here on, a crash may be due to the photos."""
         self._send(event="started")
 
     def step(self, label: str, total: int, unit: str) -> None:

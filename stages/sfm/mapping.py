@@ -13,22 +13,23 @@ from stages.sfm.quality import REFUSED_SHARE
 from stylerf.environment.colmap import pycolmap
 
 MODELS = "models"
-# Parallax asked of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom hold so much;
-# narrow where too few photos are placed so. COLMAP itself goes down to a quarter of what is asked, but photos that all
+# Parallax required of the first pair, degrees: COLMAP's default, or half of it for few photos, which seldom have so
+# much; narrow if too few photos are placed that way. COLMAP itself goes down to a quarter of it, but photos that all
 # face forward may have less.
 WIDE, MODERATE, NARROW = 16.0, 8.0, 2.0
 # Refine a lens beyond its focal length and first coefficient only if this many photos share it.
 PHOTOS_TO_REFINE = 20
 # Points are kept while their error is under this (pixels of the copies) and their parallax above this (degrees).
 LARGEST_ERROR, MIN_PARALLAX = 4.0, 1.5
-# A refined principal point further from the center than this share of the side is an error absorbed, no lens.
+# A refined principal point further from the center than this share of the side has absorbed errors.
 FARTHEST_CENTER = 0.08
 
 
 def reconstruct(job: Job, database: Path, photos: int, progress: JobProgress) -> list[pycolmap.Reconstruction]:
-    """All models, that with the most photos first; none where no pair of photos has matches enough to begin with.
+    """Return all models, the one with the most photos first; none if no pair of photos has enough matches to begin
+    with.
 
-    Begun with a pair of wide parallax, or where that places too few photos, with a narrow one if it places more.
+    Begins with a pair of wide parallax, or, if that places too few photos, with a narrow one if it places more.
     """
     best: list[pycolmap.Reconstruction] = []
     for angle in (WIDE if photos > 20 else MODERATE, NARROW):
@@ -43,12 +44,12 @@ def reconstruct(job: Job, database: Path, photos: int, progress: JobProgress) ->
 def _mapped(
     job: Job, database: Path, photos: int, angle: float, progress: JobProgress
 ) -> list[pycolmap.Reconstruction]:
-    """All models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
+    """Return all models that grow from pairs of photos with `angle` degrees of parallax, in COLMAP's order."""
     folder = Path(job.folder) / MODELS
     shutil.rmtree(folder, ignore_errors=True)  # of an interrupted mapping
     folder.mkdir()
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = 1  # more threads add up residuals in another order every time
+    options.num_threads = 1  # more threads sum residuals in a different order every time
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = job.seed
     options.min_model_size = 3
     options.mapper.init_min_tri_angle = angle
@@ -69,10 +70,11 @@ def _mapped(
 
 
 def refined(model: pycolmap.Reconstruction, folder: Path) -> tuple[pycolmap.Reconstruction, bool]:
-    """The model with a second radial coefficient and the principal point set free, and whether that was done.
+    """Refine the model with a second radial coefficient and a free principal point; return it and whether that was
+    done.
 
-    COLMAP leaves both alone. On phone photos freeing them brought rotations from 0.6 to 0.2 degrees of reference poses
-    and the error down by 5 %. The model comes back as it was where a lens has few photos, or the result is not a lens.
+    COLMAP refines neither. On phone photos, freeing them brought rotations from 0.6 to 0.2 degrees of reference poses
+    and the error down by 5 %. The model is returned unchanged if a lens has few photos, or the result is implausible.
     """
     used = [model.images[number].camera_id for number in model.reg_image_ids()]
     if any(used.count(number) < PHOTOS_TO_REFINE for number in set(used)):

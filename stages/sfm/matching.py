@@ -1,7 +1,7 @@
-"""Matches of pairs of photos: COLMAP on one thread, in as many processes as there are threads to use.
+"""Matches pairs of photos: COLMAP on one thread, in as many processes as there are threads to use.
 
-Run by several threads of one process, COLMAP 4.2 now and then loses matches of a pair, or all of them, and no two runs
-need agree; why is not known, but processes share nothing.
+With several threads in one process, COLMAP 4.2 occasionally loses matches of a pair, or all of them, and runs differ;
+the cause is unknown, but processes share nothing.
 
 `python -P -m stages.sfm.matching` is such a process: a batch of pairs per JSON line on stdin, a line on stdout when the
 batch is done. It ends when its stdin closes, that is when its parent ends or dies.
@@ -31,7 +31,7 @@ Pairs = list[tuple[str, str]]
 
 BATCHES = "matching"  # folder of the batches in progress, in the job's folder
 FEWEST_PAIRS_AT_ONCE, MOST_PAIRS_AT_ONCE = 10, 40
-# A process costs half a second to start, as much as this many pairs.
+# A process takes half a second to start, as long as this many pairs.
 PAIRS_FOR_A_PROCESS = 20
 WAIT_SECONDS = 60.0  # for a database that another thread writes
 
@@ -80,7 +80,7 @@ def _matched(batches: list[Pairs], path: Path, folder: Path, job: Job) -> Iterat
                 idle.put(process)
 
         pool = stack.enter_context(ThreadPoolExecutor(processes))
-        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # at a fault, start no other batch
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)  # after a fault, start no other batch
         for batch, part in zip(batches, pool.map(computed, range(len(batches))), strict=True):
             merge_database(part, path)
             part.unlink()
@@ -101,7 +101,7 @@ def match_pairs(path: Path, pairs: Pairs, seed: int) -> None:
 
 @contextmanager
 def _process() -> Iterator[subprocess.Popen]:
-    """A process of this module, of our process group, so that who kills the group kills it too."""
+    """A process of this module in our process group, so that killing the group kills it too."""
     command = [sys.executable, "-P", "-m", "stages.sfm.matching"]
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8")
     try:
@@ -131,7 +131,7 @@ def _ask(process: subprocess.Popen, batch: dict) -> None:
 
 
 def _copy_inputs(path: Path, part: Path, pairs: Pairs) -> None:
-    """Makes the database `part` with what matching these pairs reads of the one at `path`."""
+    """Create the database `part` with what matching these pairs needs from the one at `path`."""
     pycolmap.Database.open(part).close()
     names = json.dumps(sorted({name for pair in pairs for name in pair}))
     with closing(sqlite3.connect(part, timeout=WAIT_SECONDS)) as database:
@@ -147,7 +147,7 @@ def _copy_inputs(path: Path, part: Path, pairs: Pairs) -> None:
 
 
 def merge_database(part: Path, path: Path) -> None:
-    """Copies what was found in the database `part` into the one at `path`. A pair cut short before may have rows."""
+    """Copy the results in the database `part` into the one at `path`. An interrupted pair may already have rows."""
     with closing(sqlite3.connect(path, timeout=WAIT_SECONDS)) as database:
         database.execute("ATTACH ? AS part", (str(part),))
         for table in ("matches", "two_view_geometries"):
@@ -167,7 +167,7 @@ def _not_compared(path: Path, wanted: Pairs) -> Pairs:
 
 
 def main() -> int:
-    """Match the batches that stdin asks for."""
+    """Match the batches requested on stdin."""
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # COLMAP's other output goes to the log
     pycolmap.logging.minloglevel = 1

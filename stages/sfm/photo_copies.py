@@ -1,13 +1,13 @@
-"""Working copies of the photos: upright, strictly read, of bounded size, with the lens as their EXIF data give it.
+"""Working copies of the photos: upright, strictly read, of bounded size, with the lens according to their EXIF data.
 
-What a mask or transparency cuts out of a photo may stand still behind a turning object or walk through a room. The copy
-is black there, since features near an outline are described by what surrounds it, and has a mask of its own, by which
-COLMAP drops the features inside. Of 14 lego photos before a still background the mask alone places 7, both place 14.
+What a mask or transparency cuts out of a photo may be static behind a turning object or walk through a room. The copy
+is black there, since features near an outline are described by its surroundings, and has its own mask, by which COLMAP
+drops the features inside. Of 14 lego photos in front of a static background the mask alone places 7, both place 14.
 
 COLMAP itself accepts a truncated JPEG silently, drops a broken one, and handles orientation in its own way; the
 copies keep all of that away from it.
 
-A copy whose bytes, or those of its mask or facts, are no longer what the journal says is made again.
+A copy is made again if its bytes, or those of its mask or facts, no longer match the journal.
 """
 
 import errno
@@ -32,7 +32,7 @@ from stylerf.geometry.resampling import shrunk
 COPIES, MASKS = "copies", "masks"
 JPEG_QUALITY = 95
 BYTES_PER_PIXEL = 64  # of a photo while it is copied: measured 51
-KEPT = 0.5  # coverage from which a pixel counts as kept
+KEPT = 0.5  # coverage from which a pixel is kept
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Copy:
 
 
 def make_copies(job: Job, progress: JobProgress) -> list[Copy]:
-    """Copies of all photos, those of an earlier, interrupted run included; BadInput at the first damaged photo."""
+    """Make copies of all photos, reusing those of an interrupted run; BadInput at the first damaged photo."""
     folder = Path(job.folder) / COPIES
     folder.mkdir(exist_ok=True)
     (folder.parent / MASKS).mkdir(exist_ok=True)
@@ -105,7 +105,7 @@ def _copy(folder: Path, journal: Journal, side: int, index: int, photo: str, mas
         focal=focal * size[0] / width,
         sha256=file_sha256(photo),
         cut_out=cut_out,
-        unusable="all of it is cut out" if kept.max() < KEPT else "it is black" if pixels.max() < DARKEST_WHITE else "",
+        unusable="it is fully masked" if kept.max() < KEPT else "it is black" if pixels.max() < DARKEST_WHITE else "",
     )
     if cut_out:
         small = shrunk(np.ascontiguousarray(kept[..., None]), size)
@@ -143,25 +143,25 @@ def write_jpeg(path: Path, pixels: np.ndarray) -> None:
 
 
 def _without_doubles(copies: list[Copy]) -> list[Copy]:
-    """Marks photos whose bytes equal an earlier one's: a pair without a baseline only misleads."""
+    """Mark photos whose bytes equal an earlier one's: a pair without a baseline only misleads."""
     first: dict[str, Copy] = {}
     marked = []
     for copy in copies:
         earlier = first.setdefault(copy.sha256, copy)
         if earlier is not copy and not copy.unusable:
-            copy = Copy(**{**asdict(copy), "unusable": f"it is the same file as {Path(earlier.photo).name}"})
+            copy = Copy(**{**asdict(copy), "unusable": f"it is identical to {Path(earlier.photo).name}"})
         marked.append(copy)
     return marked
 
 
 def usable(copies: list[Copy], fewest: int) -> list[Copy]:
-    """Those that take part; BadInput where they are fewer than `fewest`."""
+    """Return the usable copies; BadInput if they are fewer than `fewest`."""
     kept = [copy for copy in copies if not copy.unusable]
     if len(kept) < fewest:
         first = next((copy for copy in copies if copy.unusable), None)
         why = f" ({Path(first.photo).name}: {first.unusable})" if first else ""
         raise BadInput(
             f"{len(kept)} of {len(copies)} photos can be used{why}; structure from motion needs at least {fewest} "
-            "different ones, 20 or more are better"
+            "different ones, preferably 20 or more"
         )
     return kept

@@ -1,4 +1,4 @@
-"""Whether a reconstruction is plausible. COLMAP returns without complaint whatever the result, so it is judged here."""
+"""Judges whether a reconstruction is plausible, since COLMAP returns any result without complaint."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from stylerf.geometry.cameras import epipolar_distance, essential, largest_paral
 # within NEAR of the image diagonal and DEPTH of the distance, from directions less than ANGLE degrees apart, at
 # distances less than a factor of SCALE apart.
 SHARE, NEAR, DEPTH, ANGLE, SCALE = 0.5, 0.05, 0.1, 20.0, 1.5
-# Such a pair is silent with fewer matches than this share of the points that the poorer photo of the two sees. Sound
+# Such a pair is silent with fewer matches than this share of the points that the poorer photo of the two sees. Good
 # captures had 0.10 to 0.38 in their worst pair, the other side of a folded lego 0.
 SILENT_SHARE = 0.05
 POINTS_A_PHOTO = 400
@@ -30,7 +30,7 @@ class Expected:
 
     @property
     def silent_share(self) -> float:
-        """Of the pairs that must match; 0 where there are none."""
+        """Share of silent pairs among those that must match; 0 if there are none."""
         return len(self.silent) / max(1, self.count)
 
     @property
@@ -40,7 +40,7 @@ class Expected:
 
 
 def expected(model, pairs: list, compared: set[tuple[str, str]]) -> Expected:
-    """What must match by the poses of the model. pairs: see matched_pairs; compared: names of the pairs tried."""
+    """Return what must match by the model's poses. pairs: see matched_pairs; compared: names of the pairs tried."""
     inliers = {frozenset(pair[:2]): len(pair[2].inlier_matches) for pair in pairs}
     seen = {model.images[number].name: _Seen(model, model.images[number]) for number in model.reg_image_ids()}
     matched: list[tuple[str, str]] = []
@@ -75,7 +75,7 @@ class _Seen:
         return xyz @ self.camera_from_world[:, :3].T + self.camera_from_world[:, 3]
 
     def overlap(self, other: "_Seen") -> float:
-        """Share of this photo's points that lie among the other's, seen from nearly the same side and distance."""
+        """Return the share of this photo's points among the other's, seen from nearly the same side and distance."""
         if self.tree is None or other.tree is None:
             return 0.0
         mine, theirs = self.xyz - self.center, self.xyz - other.center
@@ -102,7 +102,7 @@ FOLDED_SHARE, FOLDED_PAIRS = 0.1, 4
 # Cameras refuted by their silhouettes are left out, up to this share of them; beyond it the result is rejected.
 MOST_REFUTED = 0.2
 TURNED_SHARE, TURNED_DISTANCE = 0.9, 2.0  # share of pairs that a turn alone explains, to this median in pixels
-# A pair counts if it has this many matches, and points if they are on this many tracks.
+# A pair is checked if it has this many matches, and points if they are on this many tracks.
 MATCHES_TO_TELL, POINTS_SAMPLED = 30, 2000
 
 
@@ -136,12 +136,12 @@ class Quality:
 
     @property
     def folded(self) -> bool:
-        """Whether photos that have nothing in common were placed at one another's side."""
+        """Whether photos that have nothing in common were placed next to each other."""
         return self.silent_share > FOLDED_SHARE and self.silent_share * self.pairs_expected > FOLDED_PAIRS - 0.5
 
 
 def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndarray], refined: bool) -> Quality:
-    """Figures of models[0] (others only counted); all zero where there is no model. pairs: see matched_pairs."""
+    """Return the figures of models[0] (others are only counted); all zero without a model. pairs: see matched_pairs."""
     flat = (pycolmap.TwoViewGeometryConfiguration.PLANAR, pycolmap.TwoViewGeometryConfiguration.PANORAMIC,
             pycolmap.TwoViewGeometryConfiguration.PLANAR_OR_PANORAMIC)  # fmt: skip
     flat_share = float(np.mean([float(geometry.config in map(int, flat)) for *_, geometry in pairs] or [0.0]))
@@ -169,8 +169,9 @@ def quality(models: list, photos: int, pairs: list, keypoints: dict[str, np.ndar
 
 
 def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> list[bool]:
-    """For each pair of registered photos with matches enough: whether their median distance from the epipolar lines
-    of the poses is within tolerance. Poses that contradict the photos fail here whatever their reprojection error."""
+    """Return for each pair of registered photos with enough matches whether their median distance from the epipolar
+    lines of the poses is within tolerance. Poses that contradict the photos fail here regardless of their reprojection
+    error."""
     agreeing = []
     for first, second, rays, focal in _known_pairs(model, pairs, keypoints):
         poses = [from_colmap(np.asarray(image.cam_from_world().matrix())) for image in (first, second)]
@@ -180,7 +181,7 @@ def pair_agreements(model, pairs: list, keypoints: dict[str, np.ndarray]) -> lis
 
 
 def _known_pairs(model, pairs: list, keypoints: dict[str, np.ndarray]):
-    """(image, image, rays [n, 2] of the matches in each, larger focal length) of pairs with matches enough."""
+    """Yield (image, image, rays [n, 2] of the matches in each, larger focal length) of pairs with enough matches."""
     images = {model.images[number].name: model.images[number] for number in model.reg_image_ids()}
     for first, second, geometry in pairs:
         matches = geometry.inlier_matches
@@ -217,13 +218,13 @@ def _median_parallax(model) -> float:
 
 
 def verdict(found: Quality) -> tuple[str, list[str]]:
-    """Why the reconstruction is refused (empty: it is not), and warnings."""
+    """Return why the reconstruction is rejected (empty if it is not), and warnings."""
     remedy = "photograph in small steps (each thing in three photos or more), move between photos, keep them sharp"
-    still = "; an object that turns before a still background needs masks (masks/NAME.png)"
+    still = "; an object turning in front of a static background needs masks (masks/NAME.png)"
     if not found.registered:
         cause = "too few matches between any two photos"
         if found.flat_share > 0.5:
-            cause = f"{found.flat_share:.0%} of the matched pairs show a turn on the spot or a flat surface alone"
+            cause = f"{found.flat_share:.0%} of the matched pairs show only turns in place or a flat surface"
         return f"structure from motion found no poses: {cause}; {remedy}{still}", []
     share = found.registered / found.photos
     placed = f"{found.registered} of {found.photos} photos"
@@ -236,29 +237,29 @@ def verdict(found: Quality) -> tuple[str, list[str]]:
         )
     if found.parallax_deg < MIN_PARALLAX:
         return (
-            f"the camera hardly moved: points are seen under {found.parallax_deg:.2f} degrees of parallax (at least "
-            f"{MIN_PARALLAX:g} is needed); step sideways between photos in place of turning"
+            f"the camera hardly moved: points have {found.parallax_deg:.2f} degrees of parallax (at least "
+            f"{MIN_PARALLAX:g} is needed); step sideways between photos instead of turning"
         ), []
     if found.turned_share >= TURNED_SHARE:
         return (
-            f"the photos turn on the spot: a rotation alone explains {found.turned_share:.0%} of the matched pairs, so "
+            f"the camera turns in place: a rotation alone explains {found.turned_share:.0%} of the matched pairs, so "
             "depth cannot be determined; step sideways between photos instead of turning"
         ), []
     if found.pairs_checked and found.agreement < REFUSED_AGREEMENT:
         return (
             f"the poses contradict the photos: only {found.agreement:.0%} of {found.pairs_checked} matched pairs fit "
-            f"them; things that look alike may have been taken for one: {remedy}"
+            f"them; similar-looking things may have been mistaken for one: {remedy}"
         ), []
     if found.folded:
         return (
-            f"the poses fold the scene onto itself: {found.silent_share:.0%} of {found.pairs_expected} pairs of photos "
-            "that would show the same thing from the same side have no matches; sides that look alike were taken for "
-            "one: add photos between the sides, in small steps, or give poses made elsewhere"
+            f"the poses fold the scene onto itself: {found.silent_share:.0%} of {found.pairs_expected} pairs of "
+            "photos that should show the same thing from the same side have no matches, so similar-looking sides were "
+            "mistaken for one: add photos between the sides, in small steps, or import known poses"
         ), []
     if found.refuted_share > MOST_REFUTED:
         return (
             f"the poses contradict the silhouettes: for {found.refuted_share:.0%} of the placed photos more than "
-            f"{OUTSIDE:.0%} of the object's points are outside what mask or transparency keeps; check the masks, "
+            f"{OUTSIDE:.0%} of the object's points are outside what its mask or transparency keeps; check the masks, "
             f"or {remedy}"
         ), []
     return "", _warnings(found, placed, share)

@@ -1,4 +1,4 @@
-"""Structure from motion: photos without poses into posed ones, by COLMAP in a child process that can be stopped.
+"""Structure from motion: finds the poses of photos by COLMAP in a child process that can be stopped.
 
 Ctrl-C ends the child at once; finished photos, features and matches stay in the checkpoint, where the next run resumes.
 """
@@ -29,11 +29,11 @@ from stages.sfm.job import MODEL, RESULT, Job, journal_of
 
 ROOT = Path(__file__).resolve().parents[2]
 POLL_SECONDS = 0.2
-# Options of Popen: a process group of the child's own, which the terminal's Ctrl-C does not reach.
+# Options of Popen: a separate process group for the child, which the terminal's Ctrl-C does not reach.
 OWN_GROUP: dict[str, Any] = {"start_new_session": True}
 if sys.platform == "win32":
     OWN_GROUP = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-PROBED_BYTES = 4_000_000  # what a disk that is not full must be able to take
+PROBED_BYTES = 4_000_000  # bytes that a disk that is not full must accept
 
 
 def reconstructed(
@@ -104,7 +104,7 @@ def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: C
         f"structure from motion: {figures['registered']} of {figures['photos']} photos placed, {figures['points']} "
         f"points, {figures['error_px']:.2f} px"
     )
-    # The photos may have been moved since an interrupted run looked at them; their order is the same.
+    # The photos may have been moved since an interrupted run read them; their order is the same.
     every = [{**copy, "photo": str(photo)} for copy, photo in zip(result["copies"], photos, strict=True)]
     copies = {copy["file"]: copy for copy in every}
     scene = scene_of(read_model(model), model, root, "photos, by structure from motion")
@@ -119,7 +119,7 @@ def _scene(result: dict, photos: list[Path], model: Path, root: Path, context: C
 
 
 def _of_photo(camera: SourceCamera, copy: dict, root: Path) -> SourceCamera:
-    """The camera of a working copy as that of the photo itself."""
+    """Convert the camera of a working copy to that of the photo itself."""
     photo, size = Path(copy["photo"]), tuple(copy["full_size"])
     kx, ky = size[0] / copy["size"][0], size[1] / copy["size"][1]
     fx, fy, cx, cy = camera.intrinsics
@@ -148,13 +148,13 @@ def run_child(job: Path, context: Context) -> None:
     finally:
         _end(child)
     if fault or code:
-        # On a full disk COLMAP and its libraries fail in many ways, and few say why.
+        # On a full disk COLMAP and its libraries fail in many ways, often without naming the cause.
         full = refusal_of_disk(job, PROBED_BYTES) if code != -signal.SIGTERM else None
         raise full or (_fault(fault["kind"], fault["text"]) if fault else _death(code, log, started))
 
 
 def _search_path() -> str:
-    """Return the child's PYTHONPATH: our absolute entries. An empty entry would be the current folder."""
+    """Return the child's PYTHONPATH: our absolute entries. An empty entry would mean the current folder."""
     inherited = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     return os.pathsep.join([str(ROOT), *(entry for entry in inherited if os.path.isabs(entry))])
 
@@ -215,17 +215,18 @@ def _death(code: int, log: Path, started: bool) -> BaseException:
     """Return the error for a child that died without reporting one. started: it had loaded its libraries."""
     if hasattr(signal, "SIGKILL") and code == -signal.SIGKILL:
         return OutOfResources(
-            "structure from motion was killed by the system, most likely for lack of memory; give fewer --threads, a "
-            "lower --memory, smaller photos, or a smaller --sfm-side or --sfm-features, and run the same command"
+            "structure from motion was killed by the system, most likely because memory ran out; give fewer "
+            "--threads, a lower --memory, smaller photos, or a smaller --sfm-side or --sfm-features, and run the same "
+            "command"
         )
     if code == -signal.SIGTERM:
         return KeyboardInterrupt()
     lines = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
     last = next((line for line in reversed(lines) if line[:1] in "EF" or "Error" in line), lines[-1] if lines else "")
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    if code > 0 and not started:  # Python ended by itself, before it looked at any photo
+    if code > 0 and not started:  # Python ended on its own, before it read any photo
         return OutOfResources(
             f"structure from motion could not start ({how}: {last.strip()[:200]}); check that the disk with Python's "
-            "libraries can be read, and run the same command again"
+            "libraries is readable, and run the same command again"
         )
     return BadInput(f"structure from motion failed ({how}: {last.strip()[:200]}); check the photos")

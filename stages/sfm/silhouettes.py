@@ -15,16 +15,16 @@ from stages.sfm.photo_copies import KEPT, MASKS, Copy
 
 # A point is outside if it is further from the silhouette than this share of the longest side: 4 pixels of 400.
 NEAR = 0.01
-# A camera is refuted with more than this share of the points outside. Right ones of lego had 0.02 at most (one that is
-# off by 5 degrees 0.04), single wrong ones 0.16 and more, those of a folded lego 0.10 and more.
+# A camera is refuted with more than this share of the points outside. Correct ones of lego had at most 0.02 (one off by
+# 5 degrees 0.04), single wrong ones 0.16 and more, those of a folded lego 0.10 and more.
 OUTSIDE = 0.1
 MOST_POINTS = 5000
 REASON = "its silhouette contradicts the pose that structure from motion found"
 
 
 def of_object(folder: Path, copies: list[Copy]) -> dict[str, np.ndarray]:
-    """Silhouettes by name of the copy, [h, w] bool; none where the photos' masks do not cut an object out, or are one
-    mask, which belongs to the lens."""
+    """Return silhouettes by name of the copy, [h, w] bool; none if the photos' masks do not cut out an object, or are
+    all the same mask, which belongs to the lens."""
     background, found = Background("auto"), {}
     if not any(copy.cut_out for copy in copies):
         return {}
@@ -65,7 +65,7 @@ def refuted(model, silhouettes: dict[str, np.ndarray]) -> list[str]:
 
 
 def without(model, names: list[str]) -> None:
-    """Takes the cameras out of the model, and points that no two others see."""
+    """Remove the cameras from the model, and points that no two others see."""
     for number in list(model.reg_image_ids()):
         if model.images[number].name in names:
             model.deregister_frame(model.images[number].frame_id)

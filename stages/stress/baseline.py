@@ -15,7 +15,7 @@ from stages.stress.outcomes import REMEDIED, Cell
 SCHEMA = 1
 # Differences that another machine may cause; dB for fits, shares for the others.
 TOLERANCE = {"fits": 0.5, "stylizations": 0.03, "edits": 0.03}
-SPREADS = 2.0  # standard errors of the difference beyond which a lower median is not chance
+SPREADS = 2.0  # standard errors of the difference beyond which a lower median is not due to chance
 # Conditions of methods that take a style image. Empty without any; then no common cell depends on them.
 OF_PAINTINGS = ("features", "paintings")
 
@@ -34,11 +34,11 @@ class Compared:
 
 
 def write_baseline(path: Path, cells: Sequence[Cell], conditions: dict) -> None:
-    """Replace the file; UsageError if a cell lacks runs, since the others may be chance."""
+    """Replace the file; UsageError if a cell lacks runs, since the others may be due to chance."""
     for cell in cells:
         if cell.count != conditions["seeds"]:
             raise UsageError(
-                f"no baseline is written to {path}: {cell.method} under {cell.fault} has {cell.count} of "
+                f"no baseline written to {path}: {cell.method} under {cell.fault} has {cell.count} of "
                 f"{conditions['seeds']} runs; rerun without --only, or leave out that fault"
             )
     kept = [
@@ -53,7 +53,7 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
     try:
         content = read_json(path)
         if content["schema"] != SCHEMA:
-            raise BadInput(f"--baseline {path} is of schema {content['schema']}, expected {SCHEMA}; write a new one")
+            raise BadInput(f"--baseline {path} has schema {content['schema']}, expected {SCHEMA}; write a new one")
         cells, made = _checked(content)
     except FileNotFoundError as error:
         raise BadInput(
@@ -79,7 +79,7 @@ def read_baseline(path: Path, conditions: dict) -> list[dict]:
 
 
 def _checked(content: dict) -> tuple[list[dict], dict]:
-    """Return cells and conditions; ValueError, KeyError or TypeError if `write_baseline` cannot have written them."""
+    """Return cells and conditions; ValueError, KeyError or TypeError if `write_baseline` did not write them."""
     cells, made = content["cells"], content["conditions"]
     if not isinstance(cells, list) or not isinstance(made, dict):
         raise ValueError("cells are a list, conditions an object")

@@ -33,7 +33,7 @@ SCORES = {
     "stylizations": ("structure kept", "", 3),
     "edits": ("change that stays inside", "", 3),
 }
-REVISION = 4  # of these criteria; runs judged by older ones are repeated
+REVISION = 4  # version of these criteria; runs judged by older ones are repeated
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,8 @@ class ViewPair:
 class Verdict:
     """The outcome of a criterion.
 
-    why: reason of a failure. score: see SCORES; None if nothing was made or all is NaN. worst: index of the worst view.
+    why: reason for a failure. score: see SCORES; None if nothing was made or all is NaN. worst: index of the worst
+    view.
     """
 
     ok: bool

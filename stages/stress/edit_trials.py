@@ -20,7 +20,7 @@ from stages.stress.test_views import central_pixel
 
 SPECS = (region_select.SPEC, edit_dataset.SPEC, edit_learn.SPEC, edit_palette.SPEC, distill.SPEC, finetune.SPEC,
          decompose.SPEC, recolor.SPEC)  # fmt: skip
-REACH = 0.12  # share of the distance to that camera; colors of such small photos alone would not stop the growth
+REACH = 0.12  # relative to the distance to that camera; the colors of such small photos alone would not stop the growth
 ORDINARY = "all=#2050d0"
 PALETTES = {"palette-full": "all=#00ff00", "palette-black": "all=#000000"}
 QUICK_RECOLOR = {"palette_steps": 80, "pruned_steps": 10}

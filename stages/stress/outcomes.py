@@ -1,4 +1,4 @@
-"""Outcomes of trials, a file each, so that an interrupted command resumes; and the success rates of cells."""
+"""Outcomes of trials, one file each, so that an interrupted command resumes; and the success rates of cells."""
 
 import math
 import statistics
@@ -21,7 +21,7 @@ class Outcome:
     """One run.
 
     key: digest of everything that affects the result. score: None without a picture or with non-finite values. why:
-    reason of a failure. picture: file name of the worst view.
+    reason for a failure. picture: file name of the worst view.
     """
 
     key: str
@@ -114,7 +114,7 @@ NOT_FINITE = ("inf", "-inf", "nan")  # as schemas.canonical_json writes them
 def load_outcome(root: Path, run: str, key: str) -> Outcome | None:
     """Load the outcome of a run if its key matches; None if it is missing or damaged.
 
-    The file may come from a stranger, so every value is checked, and the picture must be in its folder.
+    The file is untrusted, so every value is checked, and the picture must be in its folder.
     """
     for name in (run, run.rpartition("--")[0]):  # older files have no key in their name
         try:
@@ -128,7 +128,7 @@ def load_outcome(root: Path, run: str, key: str) -> Outcome | None:
 
 def _outcome(content: object) -> Outcome:
     if not isinstance(content, dict) or content.keys() != {item.name for item in fields(Outcome)}:
-        raise BadInput("not an outcome of a stress run")
+        raise BadInput("not the outcome of a stress run")
     found = Outcome(**content)
     texts = (found.key, found.method, found.fault, found.why, found.picture)
     flags = (found.remedies, found.ok)
@@ -144,7 +144,7 @@ def _outcome(content: object) -> Outcome:
         and found.fault in FAULTS
     )
     if not sound:
-        raise BadInput("a value that no stress run writes")
+        raise BadInput("contains a value that no stress run writes")
     if found.picture:
         file_name(found.picture, "picture", BadInput)
     return found

@@ -18,7 +18,7 @@ from stages.stress.outcomes import REMEDIED, Cell, Outcome
 from stylerf.environment.matplotlib_defaults import Axes, QuadMesh, colormaps, rc_context
 from stylerf.environment.matplotlib_defaults import Figure as Drawing
 
-COLORS = "cividis"  # even to the eye, and read alike by those who do not tell red from green
+COLORS = "cividis"  # perceptually uniform and safe for color blindness
 STEPS = 11  # few enough that the bar beside the map stays lines in an SVG
 DARK = 0.55  # share up to which text on it is white
 

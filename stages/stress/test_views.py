@@ -19,7 +19,7 @@ OPAQUE = 0.9
 def view_pairs(scene: Artifact, field: Artifact, threads: int) -> list[ViewPair]:
     """Render every test view over the background that the field was fitted on.
 
-    Pixels that a capture masks out take the field's own colors, so that no method is judged by them.
+    Pixels that a capture masks out get the field's own colors, so that no method is judged by them.
     """
     data = load_scene(scene)
     radiance, background = load_field(field)

@@ -1,4 +1,4 @@
-"""Trials: a scene with a fault, a fit, a stylization or edit, and a verdict. Each outcome is kept on disk.
+"""Trials: a scene with a fault, a fit, a stylization or edit, and a verdict. Each outcome is stored on disk.
 
 Trials run in work folders below WORK/stress/works, one per scene and seed, never in WORK itself: a scene with a fault
 must not be mistaken for the user's.
@@ -37,7 +37,7 @@ from stylerf.corruption import style_images
 
 WORST = "worst"
 KEEP_MARKER = "kept"  # marks a work folder kept by --keep
-# Faults of the command, the work folder or the machine; they say nothing about a method.
+# Errors of the command, the work folder or the machine, which say nothing about a method.
 NOT_A_METHODS_FAULT = (UsageError, ArtifactDamaged, ArtifactStale, OutOfResources, MemoryError, OSError)
 QUICK_CAPACITY, QUICK_SAMPLES = "fixed:64x8x16", 20_000
 QUICK_REFIT, QUICK_DEFORM, DEFORM_STEPS = 60, 40, 400
@@ -79,8 +79,8 @@ class FitFailed(Exception):
 class Stress:
     """Runs the trials of a config.
 
-    conditions: what all trials share, and what a baseline must share with them. Features and style images are empty
-    if no method takes a style image. missing: faults that the scene cannot have, with the reason.
+    conditions: what all trials share, and a baseline must share with them. Features and style images are empty if no
+    method takes a style image. missing: faults that the scene cannot have, with reasons.
     """
 
     def __init__(self, context: Context, config: StressConfig, source: Artifact, root: Path) -> None:
@@ -107,7 +107,7 @@ class Stress:
         self._used: set[Path] = set()
         self._digests: dict[Path, str] = {}  # of style images
         self._failed: dict[tuple[Path, FitConfig], tuple[str, float]] = {}  # reason and seconds
-        self._seconds = 0.0  # of everything the trial in progress consists of
+        self._seconds = 0.0  # for everything that the current trial consists of
         self._force, self._only = False, False
 
     def trials(self) -> Iterator[Trial]:
@@ -250,7 +250,7 @@ class Stress:
         except NOT_A_METHODS_FAULT:
             raise
         except Exception as error:
-            # A method that breaks has failed, however it breaks; that is what is counted.
+            # A method that breaks in any way has failed; that is what is counted.
             verdict = criteria.Verdict(False, reason_of(error), None, 0)
             (self.root / WORST / picture).unlink(missing_ok=True)
             picture = ""
@@ -338,7 +338,7 @@ class Stress:
         return verdict, side_by_side(views[verdict.worst])
 
     def _clean_up(self, place: Path, complete: bool) -> None:
-        """Delete a work folder that no further trial needs, even one left by a killed run, unless --keep kept it."""
+        """Delete a work folder that no further trial needs, even one left by a killed run, unless --keep is set."""
         if self.config.keep or (place / KEEP_MARKER).exists():
             return
         if place in self._used or (complete and not self._only):
@@ -346,7 +346,7 @@ class Stress:
 
 
 def reason_of(error: Exception) -> str:
-    """Return the reason of a failed trial."""
+    """Return the reason for a failed trial."""
     return str(error) if isinstance(error, FitFailed) else f"{type(error).__name__}: {error}"[:300]
 
 

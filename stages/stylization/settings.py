@@ -1,4 +1,4 @@
-"""From the options of a stylization to its settings (what `auto`, 0 and -1 stand for) and its training."""
+"""From the options of a stylization to its settings (the meaning of `auto`, 0 and -1) and its training."""
 
 import math
 import time
@@ -52,12 +52,12 @@ DEFAULTS = {
 # Largest change of a displacement per distance, times --bend: 1 would fold space.
 SLOPE, STEEPEST = 0.7, 0.9
 DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose silhouettes bend them sooner
-# What keeps a capture's shapes keeps the silhouettes of an object so firmly that no deformation shows; nothing around
-# an object can tear (decision 0015).
+# The weight that preserves a capture's shapes would preserve an object's silhouettes so firmly that no deformation
+# shows; nothing around an object can tear (decision 0015).
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
-# Of transport, of captures and of objects: edges that may not move do not bend (decisions 0050, 0054).
+# Of transport, for captures and for objects: edges that may not move do not bend (decisions 0050, 0054).
 DEFORMED_STRUCTURE = {True: 1.0, False: 0.5}
-KEPT_COLORS = {"color_weight": 10.0}  # the photos are the colors to have
+KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
@@ -76,22 +76,22 @@ Settings = TypeVar("Settings", bound=StyleSettings)
 
 
 def new_color(config: StylizeConfig, generator: np.random.Generator, pixel_cells: float) -> HashColor:
-    """The color field to train. pixel_cells: cells per side as wide as a pixel, nan if nothing is seen.
+    """Return the color field to train. pixel_cells: cells per side as wide as a pixel, nan if nothing is seen.
 
-    Finer cells would each be trained by single views, and show as grain from in between.
+    Finer cells would each be trained by single views, and appear as grain from in between.
     """
     finest = finest_cells(config.finest, pixel_cells)
     return HashColor.create(generator, levels=config.levels, finest=finest, table=1 << config.table_bits)
 
 
 def region_color(config: StylizeConfig, base: ColorPart, cells: np.ndarray, pixel_cells: float) -> RegionColor:
-    """As new_color, but over `base` in marked cells [s, s, s] of the cube only; at first equal to the base."""
+    """Like new_color, but over `base` only in marked cells [s, s, s] of the cube; initially equal to the base."""
     finest = float(finest_cells(config.finest, pixel_cells))
     return RegionColor.create(base, cells, finest, 1 << config.table_bits, config.levels)
 
 
 def finest_cells(finest: int, pixel_cells: float) -> int:
-    """Cells per side of a new color's finest level: `finest`, or if 0, FINER than a pixel within COLOR_CELLS."""
+    """Return the cells per side of a new color's finest level: `finest`; if 0, FINER than a pixel, in COLOR_CELLS."""
     smallest, largest = COLOR_CELLS
     if finest:
         return finest
@@ -101,7 +101,7 @@ def finest_cells(finest: int, pixel_cells: float) -> int:
 
 
 def strategy_of(config: ArfConfig, long_side: int) -> str:
-    """Which rays receive gradients.
+    """Return which rays receive gradients.
 
     Fixed shapes are cheap to render, and so are small views; marching a large view again costs more than its features.
     Dilated rays leave grain in small views, where a color cell is hardly wider than their gaps (decision 0013).
@@ -112,7 +112,7 @@ def strategy_of(config: ArfConfig, long_side: int) -> str:
 
 
 def image_loss(config: StylizeConfig) -> str:
-    """transport, nnfm or gram: how views, or images, are compared with the style image."""
+    """Return how views, or images, are compared with the style image: transport, nnfm or gram."""
     by_gram = isinstance(config, RefNprConfig) and config.reference_by == "gram"
     if by_gram or (isinstance(config, SnerfConfig) and config.image_by == "gram"):
         return "gram"
@@ -120,23 +120,23 @@ def image_loss(config: StylizeConfig) -> str:
 
 
 def image_layers(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
-    """Layers at which they are compared."""
+    """Return the layers at which they are compared."""
     own = "" if isinstance(config, RefNprConfig) else config.layers
     return own or available(LAYERS_OF[image_loss(config)], state)
 
 
 def reference_layers(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
-    """Layers at which a view is matched with a reference."""
+    """Return the layers at which a view is matched with a reference."""
     return config.layers or available(REFERENCE_LAYERS, state)
 
 
 def available(layers: str, state: Mapping[str, torch.Tensor]) -> str:
-    """The default layers that the weights have; all of them if they have none, to be refused by name."""
+    """Return the default layers that the weights have; all of them if they have none, to be rejected by name."""
     return ",".join(layer for layer in layers_of(layers) if f"{layer}.weight" in state) or layers
 
 
 def coarse_layers(state: Mapping[str, torch.Tensor]) -> str:
-    """The layers of coarse matches: block 5, or the deepest layer of weights that end before it."""
+    """Return the layers of coarse matches: block 5, or the deepest layer of weights that end before it."""
     there = [layer for layer in LAYERS if f"{layer}.weight" in state]
     return COARSE_BLOCK if set(layers_of(COARSE_BLOCK)) <= set(there) else there[-1]
 
@@ -153,7 +153,7 @@ def match_of(config: StylizeConfig) -> str:
 
 
 def same_named(config: Any, kind: type[Settings], **others: Any) -> Settings:
-    """Settings with the values of the config's options of the same names, and `others`."""
+    """Return settings with the values of the config's options of the same names, and `others`."""
     shared = {item.name: getattr(config, item.name) for item in fields(kind) if hasattr(config, item.name)}
     seconds, steps = budget_of(config.budget)
     return kind(**(shared | {"steps": steps, "seconds": seconds or 1.0} | others))
@@ -171,7 +171,7 @@ def detail_rate_of(config: ArfConfig, style_image: torch.Tensor | None, long_sid
 
 
 def weights_of(style: float, variation: float, others: Mapping[str, float]) -> StyleWeights:
-    """Weights of the loss terms; others: some of DEFAULTS."""
+    """Return the weights of the loss terms. others: some of DEFAULTS."""
     named = {name.removesuffix("_weight"): value for name, value in others.items() if name.endswith("_weight")}
     return StyleWeights(style=style, variation=variation, **named)
 
@@ -189,7 +189,7 @@ def settings_of(
         long_side: Longest side of the views, pixels.
         opaque_background: The field is a capture, not an object alone.
         region: Only a region is stylized; its colors equal the photos' from the start unless they are matched.
-        style_image: [3 or 4, h, w]; None counts as smooth.
+        style_image: [3 or 4, h, w]; None is treated as smooth.
     """
     loss, match, kind = image_loss(config), match_of(config), SETTINGS[type(config)]
     defaults = of_image = DEFAULTS[loss]
@@ -214,7 +214,7 @@ def settings_of(
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
         own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))
-        # Strokes are as fine a part of a small picture as of a large one (decision 0052).
+        # Strokes are as fine relative to a small picture as to a large one (decision 0052).
         small = min(1.0, long_side / FEATURE_SIDE)
         own["detail"] = DETAIL * small
         if not isinstance(config, RefNprConfig):
@@ -249,17 +249,17 @@ def train(
     labels: Mapping[str, str],
     begun: float,
 ) -> None:
-    """Train to the end, and say how long that takes in all.
+    """Train to the end, and report how long that takes in total.
 
     Args:
         what: Its name in errors.
-        labels: Of phases, where they are not the phases' names.
+        labels: Of phases, if they are not the phases' names.
         begun: When the stage began, time.monotonic().
     """
     shown, final = "", trainer.phases[-1]
     seconds, _ = budget_of(config.budget)
     if seconds:
-        context.progress.say(f"{seconds:.0f} s of training; loading, and new colors for the scene, come on top of it")
+        context.progress.say(f"{seconds:.0f} s of training, plus loading and creating new colors for the scene")
 
     def report(now: StylizationTrainer) -> None:
         nonlocal shown
@@ -268,7 +268,7 @@ def train(
             shown = state.phase
             if seconds and shown == final:
                 spent, left = time.monotonic() - begun, now.settings.seconds - state.seconds
-                context.progress.say(f"about {spent + left:.0f} s or more in all, {spent:.0f} s of it already spent")
+                context.progress.say(f"about {spent + left:.0f} s or more in total, {spent:.0f} s of it already spent")
             context.progress.start(labels.get(shown, shown), total or seconds, "step" if total else "s")
         last, note = state.curve[-1] if state.curve else {}, ""
         if last:

@@ -1,4 +1,4 @@
-"""Cameras of the page: from a pose and a vertical field of view to a pinhole camera of the wanted number of pixels."""
+"""Cameras of the page: from a pose and a vertical field of view to a pinhole camera with a given number of pixels."""
 
 import math
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Pose:
         return pose
 
     def sound(self) -> bool:
-        """Whether a page sent numbers that a camera can have."""
+        """Return whether the numbers that a page sent are valid for a camera."""
         numbers = (*self.quaternion, *self.position, self.fov, self.aspect)
         turned = float(np.linalg.norm(self.quaternion)) if np.isfinite(numbers).all() else 0.0
         return 0.5 < turned < 2 and 0.01 < self.fov < 3.1 and 1 / LONGEST_ASPECT < self.aspect < LONGEST_ASPECT
@@ -63,14 +63,15 @@ class Pose:
 
 
 def pixel_at(camera: Camera, across: float, down: float) -> int:
-    """Return the row-major pixel at a place of the picture in 0..1 from the top left; outside counts as the rim."""
+    """Return the row-major pixel at a position in 0..1 from the top left, clamped to the picture."""
     x = min(int(np.clip(across, 0, 1) * camera.width), camera.width - 1)
     y = min(int(np.clip(down, 0, 1) * camera.height), camera.height - 1)
     return y * camera.width + x
 
 
 def level_up(up: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return the direction nearest to `up` that a camera may call up without rolling; drags turn the camera around it.
+    """Return the direction nearest to `up` that a camera can use as up without rolling; drags turn the camera around
+    it.
 
     That is `up` without its part along the camera's right: the vertical itself, if the horizon is level in the picture.
 

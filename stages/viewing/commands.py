@@ -1,4 +1,4 @@
-"""Commands that do what the page does: arguments to run, text to copy, a script of a session."""
+"""Commands equivalent to the page's actions: arguments to run, text to copy, a script of a session."""
 
 import re
 import shlex
@@ -9,7 +9,7 @@ from typing import Any
 from schemas.safe_names import printable
 from stages.configs import flags_of
 
-COMMAND_WIDTH = 46  # characters that a panel has room for
+COMMAND_WIDTH = 46  # characters that fit in a panel
 
 
 def command(verb: str, work: Path | str, config: Any = None, **others: str) -> list[str]:
@@ -27,16 +27,16 @@ def command(verb: str, work: Path | str, config: Any = None, **others: str) -> l
 
 
 def as_text(arguments: Iterable[str]) -> str:
-    """Return a command as a shell takes it."""
+    """Return a command as shell text."""
     return shlex.join(["stylerf", *arguments])
 
 
 def wrapped(arguments: Iterable[str], width: int) -> str:
-    """Return a command to be shown, in lines of about `width` characters that go on after a backslash.
+    """Return a command for display, in lines of about `width` characters continued by a backslash.
 
-    Control characters, which the names and options of a stranger's work folder may hold, are escaped.
+    Control characters, which names and options of an untrusted work folder may contain, are escaped.
     """
-    pieces = ["stylerf"]  # of words that stay together: an option and its value
+    pieces = ["stylerf"]  # words that stay together: an option and its value
     for word in map(shlex.quote, map(printable, arguments)):
         if word.startswith("--"):
             pieces.append(word)
@@ -52,13 +52,13 @@ def wrapped(arguments: Iterable[str], width: int) -> str:
 
 
 def script_of(commands: Iterable[list[str]]) -> str:
-    """Return a shell script that runs the commands and ends at the first that fails."""
+    """Return a shell script that runs the commands and stops at the first that fails."""
     return "\n".join(["#!/bin/sh", "set -e", *map(as_text, commands), ""])
 
 
 def fenced(language: str, text: str) -> str:
-    """Return text as a block of code in Markdown, which it cannot end: viser renders the HTML in Markdown."""
+    """Return text as a Markdown code block that it cannot close: viser renders the HTML in Markdown."""
     text = "\n".join(map(printable, text.split("\n")))
-    text = text.replace("](", "] (")  # even in code, viser reads the file that a picture's address names
+    text = text.replace("](", "] (")  # even in code, viser reads the file named by a picture's address
     fence = "`" * max(3, 1 + max(map(len, re.findall("`+", text)), default=0))
     return f"{fence}{language}\n{text}\n{fence}"

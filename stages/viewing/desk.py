@@ -1,6 +1,6 @@
-"""The viewer without its page: its parts, each with the commands that do what it shows.
+"""The viewer without its page: its parts, each with the commands that reproduce what it shows.
 
-Threads of the page call them, and what is shown changes under one lock (Display.lock).
+The page's threads call them, and what is shown changes under one lock (Display.lock).
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from stages.viewing.stylizer import Stylizer
 
 
 class Desk:
-    """What one viewer works on.
+    """The state of one viewer.
 
     Attributes:
         display, preparation, selector, recolorer, stylizer, path, runs: Its parts.
@@ -33,14 +33,14 @@ class Desk:
         changed: Callable[[], None] = lambda: None,
         common: tuple[str, ...] = (),
     ) -> None:
-        """Put the parts together.
+        """Create the parts.
 
         Args:
             library: of the work folder.
             painter: paints what is shown.
             threads: CPU threads.
             said: receives notes for the user.
-            changed: called when runs have begun, spoken or ended.
+            changed: called when runs have started, printed a line or ended.
             common: arguments that every command gets, such as --threads 2.
         """
         self.library, self.painter, self._changed = library, painter, changed
@@ -53,7 +53,7 @@ class Desk:
         self.path = PathEditor(library)
 
     def showing_its_field(self) -> Callable[[Run], None]:
-        """Return what shows, at the end of a run that starts now, the field that it has made, if it has made one."""
+        """Return a callback for the end of a run that starts now: it shows the field that the run has made, if any."""
         before = self._newest().digest
 
         def ended(run: Run) -> None:
@@ -68,6 +68,6 @@ class Desk:
         return self.library.work.get("field", self.library.first_field())
 
     def close(self) -> None:
-        """Interrupt the run and wait for its checkpoint; end what is computed in the background."""
+        """Interrupt the run and wait for its checkpoint; stop background computations."""
         self.preparation.close()
         self.runs.close()

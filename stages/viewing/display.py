@@ -1,4 +1,4 @@
-"""What the pages show: a field, beside which other, which plane, which cells tinted."""
+"""What the pages show: a field, the field compared with it, the plane, the tinted cells."""
 
 import threading
 from collections.abc import Callable
@@ -17,12 +17,12 @@ from stages.viewing.shown import PLANES, Shown, Source
 
 @dataclass(frozen=True)
 class Choice:
-    """What is chosen to be looked at.
+    """What is chosen to be shown.
 
     Attributes:
         field: Name of a field.
-        beside: Name of the one right of the wipe, empty without one.
-        wipe: Where the wipe is, 0..1 from the left.
+        beside: Name of the field to the right of the wipe, empty without one.
+        wipe: Position of the wipe, 0..1 from the left.
         plane: One of PLANES.
         overlay: Name of a region to tint, empty for none.
     """
@@ -43,11 +43,11 @@ class Display:
 
     Attributes:
         lock: Held while anything that is shown changes, by all parts of a desk.
-        choice: Present one.
+        choice: The current one.
         selected: [s, s, s] bool, marked cells of a selection in progress, before any overlay; None: none.
-        in_progress: What a stylization in progress looks like, instead of the field; None: none.
-        recolored: Returns a source with the changes of its palette.
-        plain: Whether pages show a field as it is stored: alone, in color, with nothing tinted or changed.
+        in_progress: The current state of a stylization, shown instead of the field; None: none.
+        recolored: Applies the palette changes to a source.
+        plain: Whether pages show a field as stored: alone, in color, without tints or changes.
     """
 
     def __init__(self, library: Library, painter: Painter) -> None:
@@ -58,7 +58,7 @@ class Display:
         self.in_progress: Source | None = None
         self.recolored: Callable[[Source], Source] = lambda source: source
         self.plain = True
-        self._overlays: dict[str, np.ndarray] = {}  # the last one, by its digest
+        self._overlays: dict[str, np.ndarray] = {}  # the last one, by digest
 
     @property
     def field(self) -> str:
@@ -77,7 +77,7 @@ class Display:
         plane: str | None = None,
         overlay: str | None = None,
     ) -> None:
-        """Change what is chosen; see Choice. None: as it is."""
+        """Change what is chosen; see Choice. None: unchanged."""
         with self.lock:
             now = self.choice
             self.choice = Choice(

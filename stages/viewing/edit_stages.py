@@ -29,5 +29,5 @@ def deform_command(work: Path, field: str) -> list[str]:
 
 def _given(name: str, kind: str) -> str:
     if not name:
-        raise UsageError(f"there is no {kind} yet: make one first")
+        raise UsageError(f"no {kind} yet: create one first")
     return name

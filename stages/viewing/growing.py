@@ -1,4 +1,4 @@
-"""The cells of a selection in progress, and the seeds that clicks in any picture mean."""
+"""The cells of a selection in progress, and the seeds that clicks in any picture correspond to."""
 
 import threading
 from collections.abc import Callable
@@ -22,24 +22,24 @@ from stylerf.editing.selection import Look, ends_of_rays
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 
-SEEN = 0.5  # alpha from which a ray meets something
-SAME_PLACE = 0.03  # of the distance from the camera: how far apart two rays to one place may end
+SEEN = 0.5  # alpha from which a ray hits something
+SAME_PLACE = 0.03  # relative to the distance from the camera: how far apart two rays to one point may end
 
 
 def place_of(field: RadianceField, camera: Camera, pixel: int, threads: int) -> np.ndarray:
     """Return where the ray of a pixel ends, [3] scene units; BadInput if it hits nothing."""
     x, alpha = ends_of_rays(field, camera, np.array([pixel]), threads)
     if alpha[0] <= SEEN:
-        raise BadInput("nothing of the field is there: click where it shows an object")
+        raise BadInput("that place hits nothing of the field: click where the render shows an object")
     return field.space.unwarp(np.clip(x, 1e-6, 1 - 1e-6))[0]
 
 
 def seen_at(
     scene: SceneData, field: RadianceField, place: np.ndarray, toward: np.ndarray, threads: int
 ) -> tuple[str, int, int]:
-    """Return (view, x, y): the pixel of a training view that shows a place, as `select --at` takes it.
+    """Return (view, x, y): the pixel of a training view that shows a point, as `select --at` expects it.
 
-    Of the views that see it, the one whose direction is nearest to the one it was clicked from.
+    Of the views that see it, choose the one whose direction is nearest to that of the click.
 
     Args:
         place: [3] scene units.
@@ -67,9 +67,9 @@ def seen_at(
 
 
 def box_around(places: np.ndarray) -> tuple[float, ...]:
-    """Return two corners around points [n, 3], without a twentieth of them at either end of each axis.
+    """Return two corners around points [n, 3], ignoring a twentieth of them at either end of each axis.
 
-    A tenth of its longest side is added all around: what is seen is a surface, which alone would fill no cell.
+    A tenth of the longest side is added all around: only a surface is seen, which alone would fill no cell.
     """
     low, high = np.percentile(places, [5, 95], axis=0)
     margin = max(float((high - low).max()), 1e-3) / 10
@@ -80,7 +80,7 @@ def box_around(places: np.ndarray) -> tuple[float, ...]:
 class Grower:
     """Computes the cells of selections in one field, as `stylerf select` does.
 
-    What every selection needs is computed once, in steps, which threads may share: see prepare().
+    What every selection needs is computed once, in steps that threads may share: see prepare().
     """
 
     def __init__(self, library: Library, field: str, threads: int, say: Callable[[str], None]) -> None:
@@ -95,12 +95,12 @@ class Grower:
         self._step = threading.Lock()
 
     def prepare(self, wanted: Callable[[], bool] = lambda: True) -> bool:
-        """Look at the training views, and find the cells that they see and that are solid; return whether all is done.
+        """Render the training views, and find the cells that they see and that are solid; return whether all is done.
 
         Each step is done by one thread, while others wait for it.
 
         Args:
-            wanted: asked before each step; the first False ends it.
+            wanted: called before each step; False stops.
         """
         first = self._first
 
@@ -125,7 +125,7 @@ class Grower:
         return True
 
     def cells(self, selection: Selection) -> np.ndarray:
-        """Return the marked cells [s, s, s] bool of a selection; BadInput where it hits nothing."""
+        """Return the marked cells [s, s, s] bool of a selection; BadInput if it hits nothing."""
         self.prepare()
         config = selection.config()
         others = {}
@@ -139,7 +139,7 @@ class Grower:
         return combined_cells(marked, others, self._field, inputs)
 
     def _sight(self, cells: int) -> Sight:
-        """Cells a side; 0: by the size of pixels."""
+        """Return the cells per side; 0: by pixel size."""
         cells = cells or self._first.cells
         if cells not in self._sights:
             sight = replace(self._first, fixed_cells=cells)

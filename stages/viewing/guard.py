@@ -1,7 +1,7 @@
-"""Who may talk to the viewer: requests for its own address, from its own page, elsewhere with the token.
+"""Decides who may use the viewer: requests for its own address, from its own page, and from elsewhere with the token.
 
-The page can start commands, so that a page of another site must not reach it: browsers let any page open a websocket to
-this machine. A request must name an address of this machine (else a foreign name was pointed at it: DNS rebinding), and
+The page can start commands, so pages of other sites must not reach it: browsers let any page open a websocket to this
+machine. A request must name an address of this machine (otherwise a foreign name was pointed at it: DNS rebinding), and
 a websocket must come from a page of that address.
 """
 
@@ -27,13 +27,13 @@ def new_token() -> str:
 
 
 class Guard:
-    """Decides about requests. token: empty where only this machine can reach the viewer."""
+    """Accepts or refuses requests. token: empty if only this machine can reach the viewer."""
 
     def __init__(self, token: str = "") -> None:
         self.token = token
 
     def refusal(self, path: str, headers: Any) -> str:
-        """Return why a request is refused, empty if it is not.
+        """Return why a request is refused, empty if it is accepted.
 
         Args:
             path: with its query.
@@ -41,22 +41,22 @@ class Guard:
         """
         host = headers.get("Host", "")
         if not self.token and _name_of(host) not in HERE:
-            return "this viewer answers to requests for this machine's own address alone"
+            return "this viewer only answers requests for this machine's own address"
         if headers.get("Upgrade", "").lower() == "websocket":
             origin = urlsplit(headers.get("Origin", ""))
             if origin.netloc.lower() != host.lower():
                 return "a page of another site must not use this viewer"
         if self.token and not (self.has_token(path) or self._has_cookie(headers.get("Cookie", ""))):
-            return "the token is missing: open the whole address that `stylerf view` printed"
+            return "the token is missing: open the full address that `stylerf view` printed"
         return ""
 
     def has_token(self, path: str) -> bool:
-        """Whether a path's query holds the token."""
+        """Return whether a path's query contains the token."""
         given = parse_qs(urlsplit(path).query).get("token", [""])[0]
         return bool(self.token) and hmac.compare_digest(given.encode(), self.token.encode())
 
     def cookie(self) -> str:
-        """Return the Set-Cookie header of a page that was opened with the token: its websocket sends no query."""
+        """Return the Set-Cookie header of a page opened with the token, since its websocket sends no query."""
         return f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
 
     def _has_cookie(self, text: str) -> bool:
@@ -85,9 +85,9 @@ class Guard:
 
     @contextmanager
     def set_over_servers(self) -> Iterator[list[int]]:
-        """Set the guard over every websockets server that starts within; yields a list, an entry for each.
+        """Guard every websockets server that starts within the block; yields a list with an entry for each.
 
-        viser takes no handler of requests, but starts its server by this function.
+        viser accepts no request handler, but starts its server with this function.
         """
         import websockets.asyncio.server as servers
 

@@ -1,4 +1,4 @@
-"""A stylization in progress, from its newest checkpoint: what it looks like, and its steps."""
+"""A stylization in progress, from its newest checkpoint: its current look and its steps."""
 
 from dataclasses import replace
 from typing import Any
@@ -19,13 +19,13 @@ from stylerf.training.stylize.scene import COLOR, FINEST
 from stylerf.training.stylize.settings import STYLE
 from stylerf.validation import LEARNED, entry
 
-BASE_CELLS = 16  # of new colors, a side of the coarsest level; those that the page starts have the stage's own sizes
+BASE_CELLS = 16  # cells per side of the coarsest level of new colors; runs started by the page use the stage's sizes
 
 
 def half_done(work: WorkFolder, name: str, source: Source) -> Source | None:
     """Return the field that a stylization of `source` has reached; None before its first checkpoint.
 
-    None too where colors are of another kind than those of a whole scene, or a file is damaged or just being replaced.
+    Also None if the colors are not of the kind used for whole scenes, or a file is damaged or being replaced.
 
     Args:
         name: of the field in progress.
@@ -47,7 +47,7 @@ def half_done(work: WorkFolder, name: str, source: Source) -> Source | None:
 
 
 def half_learned(work: WorkFolder, name: str) -> Edit | None:
-    """Return the edit that the stylization of a region has reached; None before its first checkpoint, or a sound one.
+    """Return the edit that the stylization of a region has reached; None without a valid checkpoint.
 
     Args:
         name: of the edit in progress.
@@ -63,7 +63,7 @@ def half_learned(work: WorkFolder, name: str) -> Edit | None:
 
 
 def steps_done(work: WorkFolder, name: str) -> int | None:
-    """Return the style steps that an interrupted stylization of a whole scene has taken; None before the first."""
+    """Return the number of style steps of an interrupted stylization of a whole scene; None before the first."""
     found = _checkpoint(work, name, "field")
     state = found[0].get("state") if found is not None else None
     if not isinstance(state, dict) or state.get("phase") != STYLE:
@@ -73,7 +73,7 @@ def steps_done(work: WorkFolder, name: str) -> int | None:
 
 
 def _checkpoint(work: WorkFolder, name: str, kind: str) -> tuple[dict[str, Any], dict[str, np.ndarray]] | None:
-    """Return the newest checkpoint of an artifact in progress; None without one, or while it cannot be read."""
+    """Return the newest checkpoint of an artifact in progress; None without one, or if it cannot be read."""
     try:
         return load_checkpoint(work.root / kind / f".{name}.partial" / "checkpoint", lambda text: None)
     except (OSError, StylerfError):

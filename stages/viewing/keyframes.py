@@ -1,4 +1,4 @@
-"""A camera path in progress: keyframes, the spline through them, and its file for `stylerf render --path`."""
+"""A camera path being edited: keyframes, the spline through them, and its file for `stylerf render --path`."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ KEYS = ("width", "height", "fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True)
 class Keyframes:
-    """Poses to pass through, in their order; frames from each to the next."""
+    """Poses to pass through, in order; frames from each to the next."""
 
     poses: tuple[Pose, ...] = ()
     between: int = 24
@@ -51,7 +51,7 @@ class Keyframes:
         return made
 
     def save(self, path: Path, like: Camera) -> Path:
-        """Write the list of cameras that `stylerf render --path` takes.
+        """Write the camera list for `stylerf render --path`.
 
         Raises:
             UsageError: there are fewer than two keyframes, or too many frames.

@@ -1,4 +1,4 @@
-"""The fields, regions and palettes of a work folder, loaded when they are looked at."""
+"""The fields, regions and palettes of a work folder, loaded on demand."""
 
 from collections import OrderedDict
 from pathlib import Path
@@ -16,22 +16,22 @@ from stylerf.editing.edit_grid import Region
 from stylerf.fields.palette_color import PaletteColor
 
 KEPT_FIELDS = 4  # in memory
-OWN_FOLDER = "view"  # of the work folder: paths, style images and scripts that the viewer writes
+OWN_FOLDER = "view"  # in the work folder: paths, style images and scripts that the viewer writes
 
 
 class Library:
-    """What a work folder holds. Artifacts are listed each time, since other commands make them meanwhile."""
+    """The contents of a work folder. Artifacts are listed anew each time, since other commands may add some."""
 
     def __init__(self, root: Path | str) -> None:
         """Open the folder.
 
         Raises:
-            UsageError: it is a file, or does not exist.
-            ArtifactStale: it holds no scene or no field.
+            UsageError: it is a file or does not exist.
+            ArtifactStale: it contains no scene or no field.
         """
         self.work = WorkFolder(root)
         if not self.work.root.is_dir():
-            raise UsageError(f"{self.work.root} is not there; expected a work folder")
+            raise UsageError(f"{self.work.root} not found; expected a work folder")
         photos = [one for one in self.work.artifacts("scene") if one.manifest.stage != "distill"]
         self.scene: SceneData = load_scene(photos[0] if photos else self.work.get("scene", "main"))
         self._loaded: OrderedDict[str, Source] = OrderedDict()
@@ -40,11 +40,11 @@ class Library:
 
     @property
     def own(self) -> Path:
-        """The folder for what the viewer writes itself."""
+        """The folder for files that the viewer itself writes."""
         return self.work.root / OWN_FOLDER
 
     def fields(self) -> list[str]:
-        """Return the names of the fields, the newest first; unreadable ones are left out."""
+        """Return the names of the fields, newest first; unreadable ones are left out."""
         readable = []
         for one in self.work.artifacts("field"):
             try:
@@ -59,7 +59,7 @@ class Library:
         return self.fields()[0]
 
     def source(self, name: str) -> Source:
-        """Return a field, from memory if it has not been made again."""
+        """Return a field, from memory if it has not been rebuilt."""
         artifact = self.work.get("field", name)
         key = artifact.digest
         if key not in self._loaded:
@@ -108,9 +108,9 @@ class Library:
         return [one.name for one in self.work.artifacts("edit") if one.manifest.stage == "edit_learn"]
 
     def all_edits(self) -> list[str]:
-        """Return the names of all edits, the newest first; what can be distilled."""
+        """Return the names of all edits, newest first; these can be distilled."""
         return [one.name for one in newest(self.work.artifacts("edit"))]
 
     def region_of_edit(self, edit: Artifact) -> Artifact | None:
-        """Return the region that an edit is of; None if it is gone."""
+        """Return the region of an edit; None if it no longer exists."""
         return next((one for one in sources_of(edit) if one.kind == "region"), None)

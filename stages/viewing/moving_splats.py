@@ -1,4 +1,4 @@
-"""Splats instead of small pictures while the camera moves, where they are exported: the page draws them itself."""
+"""Exported splats, drawn by the page itself instead of small pictures while the camera moves."""
 
 import threading
 from typing import Any
@@ -9,14 +9,14 @@ from schemas.errors import StylerfError
 from stages.viewing.display import Display
 from stages.viewing.shown import bytes_of
 
-BLANK = 8  # pixels a side of the even picture behind them
+BLANK = 8  # pixels per side of the uniform picture behind them
 
 
 class MovingSplats:
-    """The splats of the shown field on one page, hidden while its camera rests.
+    """The splats of the shown field on one page, hidden while its camera is at rest.
 
     Attributes:
-        wanted: Whether they are to be shown at all.
+        wanted: Whether they should be shown at all.
     """
 
     def __init__(self, client: Any, display: Display) -> None:
@@ -44,7 +44,7 @@ class MovingSplats:
                     return
                 parts = gaussians(read_splat_ply(path)) if path is not None else None
             except (StylerfError, OSError):
-                return  # the field or its export is just being replaced
+                return  # the field or its export is being replaced
             old, self._node = self._node, None
             if old is not None:
                 old.remove()
@@ -53,7 +53,7 @@ class MovingSplats:
             self._loaded = key, str(path)
 
     def begin(self) -> bool:
-        """Show them, as the camera moves; return whether they are there and show what pictures would."""
+        """Show them as the camera moves; return whether they exist and show the same as pictures would."""
         if self._node is None or not self.wanted or not self._display.plain:
             return False
         if not self._node.visible:
@@ -64,6 +64,6 @@ class MovingSplats:
         return True
 
     def end(self) -> None:
-        """Hide them, for a picture that is better."""
+        """Hide them in favor of a better picture."""
         if self._node is not None:
             self._node.visible = False

@@ -1,7 +1,7 @@
-"""How fast rays are rendered, and by how many threads: on a busy machine one is faster than several.
+"""Measures how fast rays are rendered, and with how many threads: on a busy machine one is faster than several.
 
-A picture while the camera moves takes some hundredths of a second, in which five kernels each wait for the slowest of
-their threads.
+A picture while the camera moves takes a few hundredths of a second, in which five kernels each wait for their slowest
+thread.
 """
 
 import sys
@@ -13,8 +13,8 @@ from stylerf.kernels.cpu.compiling import set_threads
 
 FIRST_RATE = 20_000.0  # rays per second, until measured
 NEWEST = 0.3  # share of the newest measurement
-FEWEST_RAYS, MOST_RAYS = 1024, 4096  # of a batch: below, kernels cost more than rays; above, memory
-TRY_EVERY = 16  # batches of exact pictures, one of which tries the other number of threads
+FEWEST_RAYS, MOST_RAYS = 1024, 4096  # limits of a batch: below, kernel overhead dominates; above, memory use
+TRY_EVERY = 16  # batches of exact pictures, one of which tries the other thread count
 
 
 def use_threads(threads: int) -> int:
@@ -49,7 +49,7 @@ class Pace:
         return max(self._rates, key=lambda threads: self._rates[threads])
 
     def rays_within(self, seconds: float) -> int:
-        """Return how many rays of an exact picture take about this long."""
+        """Return how many rays of an exact picture can be rendered in about this time."""
         return int(min(max(self.rate * seconds, FEWEST_RAYS), MOST_RAYS))
 
     @contextmanager
@@ -64,7 +64,7 @@ class Pace:
 
     @contextmanager
     def in_motion(self, rays: int) -> Iterator[int]:
-        """Measure a picture while the camera moves; yields as exactly()."""
+        """Measure a picture while the camera moves; yields like exactly()."""
         began = time.perf_counter()
         yield use_threads(self.best)
         self.moving = _mixed(self.moving, rays, time.perf_counter() - began)

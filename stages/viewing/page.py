@@ -1,4 +1,4 @@
-"""The page: panels of the browser around a Desk. Everything here is viser's; what it does is the desk's."""
+"""The page: browser panels around a Desk. This module deals with viser; the desk does the work."""
 
 import threading
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from stylerf.geometry.camera_paths import average_up, looked_at
 
 MOST_FRUSTA = 60
 THUMBNAIL = 96  # pixels of its longer side
-SETTLED_SECONDS = 3.0  # after which a page has taken the camera that it was given
+SETTLED_SECONDS = 3.0  # after which a page has applied the camera that it was given
 JPEG_MOVING, JPEG_EXACT = 70, 92
 
 
@@ -28,7 +28,7 @@ class Page:
     """The page of one viewer.
 
     Attributes:
-        desk: What it works on.
+        desk: The viewer's state.
         server: viser's.
         gui: Where panels add their controls.
     """
@@ -61,7 +61,7 @@ class Page:
         server.on_client_disconnect(self._closed)
 
     def _aim(self) -> None:
-        """Set the camera that a page opens with: the first training view, turning around what the cameras look at."""
+        """Set the initial camera of a page: the first training view, orbiting what the cameras look at."""
         scene = self.desk.library.scene
         cameras = [scene.cameras[i] for i in scene.splits["train"]] or scene.cameras
         first = cameras[0]
@@ -77,13 +77,13 @@ class Page:
         self.away, self._first = away, first
 
     def _start_pose(self, aspect: float) -> Pose:
-        """Return the pose that a page opens with."""
+        """Return the initial pose of a page."""
         return replace(Pose.of(self._first, aspect), fov=float(self.server.initial_camera.fov))
 
     # -- for the panels ------------------------------------------------------------------------------------------------
 
     def act(self, action: Callable[..., object], then: Callable[[], object] = lambda: None) -> Callable[[Any], None]:
-        """Return a callback that does `action` with the event, `then` whatever comes of it, and tells of errors."""
+        """Return a callback that runs `action` with the event, always runs `then` afterwards, and shows errors."""
 
         def do(event: Any) -> None:
             try:
@@ -103,7 +103,7 @@ class Page:
             )
 
     def pose_of(self, client: Any) -> Pose:
-        """Return where a page's camera is."""
+        """Return the pose of a page's camera."""
         camera = client.camera
         (w, x, y, z), (px, py, pz) = camera.wxyz.tolist(), camera.position.tolist()
         return Pose((w, x, y, z), (px, py, pz), float(camera.fov), float(camera.aspect))
@@ -139,7 +139,7 @@ class Page:
         for one in self.rest:
             try:
                 one()
-            except Exception as error:  # such as of a damaged artifact: the other lists are brought up to date
+            except Exception as error:  # such as of a damaged artifact: the other lists are still updated
                 if (complaint := one_line(error)) != self._complaint:
                     self._complaint = complaint
                     self.tell(complaint, failed=True)
@@ -157,13 +157,13 @@ class Page:
         desk, page = self.desk, client.client_id
         self._splats[page] = splats = MovingSplats(client, desk.display)
         if len(self.server.get_clients()) > 1:
-            self.tell("another page of this viewer is open; both show and change the same things")
+            self.tell("another page of this viewer is open; both show and change the same state")
 
         def send(picture: np.ndarray, exact: bool, stride: int) -> None:
             if page not in self.server.get_clients():
                 return  # closed while this was painted
             if splats.shown and not exact:
-                return  # they are better than a picture of a part of the pixels
+                return  # they are better than a picture with only part of the pixels
             quality = JPEG_EXACT if exact else JPEG_MOVING
             with client.atomic():
                 client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
@@ -173,8 +173,8 @@ class Page:
         desk.painter.open(page, send)
         desk.display.refresh()
 
-        # A new page speaks of viser's own camera first, then of ours; one that comes back only of its own. A picture of
-        # ours is there before it does.
+        # A new page first reports viser's own camera, then ours; a reconnecting page only its own. A picture of ours is
+        # ready before it does.
         opening, settled = self.pose_of(client), threading.Event()
         if opening.sound():
             desk.painter.move(page, self._start_pose(opening.aspect))
@@ -203,10 +203,10 @@ class Page:
         self._splats.pop(client.client_id, None)
 
     def show_splats(self, wanted: bool | None = None) -> None:
-        """Bring every page's splats up to date.
+        """Update the splats of every page.
 
         Args:
-            wanted: whether they are shown while the camera moves; None: as before.
+            wanted: whether they are shown while the camera moves; None: unchanged.
         """
         for one in list(self._splats.values()):
             one.wanted = one.wanted if wanted is None else wanted
@@ -243,7 +243,7 @@ class Page:
             self._frusta.append(frustum)
 
     def fresh_file(self, folder: str, stem: str, suffix: str) -> Path:
-        """Return a path in the viewer's own folder that does not exist yet."""
+        """Return a new path in the viewer's own folder."""
         place = self.desk.library.own / folder
         number = 1
         while (place / f"{stem}-{number}{suffix}").exists():
@@ -252,5 +252,5 @@ class Page:
 
 
 def _plain(text: str) -> str:
-    """Return text without what Markdown would read as its own."""
+    """Return text without Markdown syntax."""
     return "".join(" " if one in "`*_<>[]\n\\" else one for one in text)

@@ -1,6 +1,6 @@
-"""Paints pictures in a thread: small ones while the camera moves, exact ones once it rests.
+"""Paints pictures in a thread: small ones while the camera moves, exact ones once it is at rest.
 
-The thread serves one page after another. A new pose or another thing to show ends what is being painted.
+The thread serves one page after another. A new pose or anything else to show interrupts the current picture.
 """
 
 import threading
@@ -18,26 +18,26 @@ from stages.viewing.shown import Shown, picture_of
 from stylerf.fields.marching import ScratchArena
 from stylerf.rendering.interlaced import coarsest_within, in_batches, interlaced, spread_out
 
-REST_SECONDS = 0.12  # without a new pose, after which the camera rests
-FIRST_PASS_SECONDS = 0.35  # that the first pass of an exact picture may take
+REST_SECONDS = 0.12  # without a new pose, after which the camera is considered at rest
+FIRST_PASS_SECONDS = 0.35  # time that the first pass of an exact picture may take
 LOADING_RAYS = 16  # that load the kernels
-BATCH_SECONDS = 0.08  # between looks at whether the picture is still wanted
+BATCH_SECONDS = 0.08  # between checks whether the picture is still wanted
 MOVING = Quality(min_transmittance=1e-2, steps=2.0)  # while the camera moves
-SLOW_SECONDS = 0.1  # that recoloring a picture may take with all of its pixels; of a quarter of them else
+SLOW_SECONDS = 0.1  # time that recoloring all pixels of a picture may take; otherwise a quarter of them are recolored
 FEWER = 0.8  # of the rays that would just keep the frame rate: sending takes time too
 
 
 @dataclass(eq=False)
 class Wanted:
-    """What one page wants to see.
+    """What one page wants to show.
 
     Attributes:
         send: Receives pictures [h, w, 3] uint8, whether exact, and the stride of those that are not.
         pose, shown: None until known.
         changed: When either changed, on the painter's clock.
         painted: What was painted last, as (version, 0 while moving, 1 when exact).
-        exact: The exact picture of what is wanted, once it is there.
-        kept: The last exact picture, to be recolored.
+        exact: The exact picture of what is wanted, once finished.
+        kept: The last exact picture, for recoloring.
     """
 
     send: Callable[[np.ndarray, bool, int], None]
@@ -58,7 +58,7 @@ class Painter:
         exact_pixels: of an exact picture.
         fps: pictures per second while the camera moves.
         clock: seconds; tests replace it.
-        failed: receives an error of the thread, which continues.
+        failed: receives errors of the thread, which continues.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class Painter:
         self._thread = threading.Thread(target=self._work, name="painter", daemon=True)
 
     def start(self, first: Shown | None = None, pose: Pose | None = None) -> None:
-        """Begin to paint.
+        """Start painting.
 
         Args:
-            first, pose: what a page will ask for first; its kernels are loaded while that page opens.
+            first, pose: what a page will request first; its kernels are loaded while that page opens.
         """
         if first is not None and pose is not None and pose.sound():
             camera = pose.camera(FEWEST_PIXELS)
@@ -92,7 +92,7 @@ class Painter:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after its present batch of rays."""
+        """End the thread after its current batch of rays."""
         with self._ready:
             self._ended = True
             self._ready.notify_all()
@@ -100,17 +100,17 @@ class Painter:
             self._thread.join(10)
 
     def open(self, page: int, send: Callable[[np.ndarray, bool, int], None]) -> None:
-        """Take up a page."""
+        """Add a page."""
         with self._ready:
             self._pages[page] = Wanted(send)
 
     def close(self, page: int) -> None:
-        """Forget a page."""
+        """Remove a page."""
         with self._ready:
             self._pages.pop(page, None)
 
     def move(self, page: int, pose: Pose, drawn: bool = False) -> None:
-        """Take note of where a page's camera is. drawn: the page draws by itself what is seen as it moves."""
+        """Record the pose of a page's camera. drawn: the page itself draws what is seen as it moves."""
         with self._ready:
             wanted = self._pages.get(page)
             if wanted is not None and wanted.pose != pose:
@@ -120,7 +120,7 @@ class Painter:
                     wanted.painted = (wanted.version, 0)
 
     def show(self, shown: Shown | None) -> None:
-        """Show something else, on every page; None: nothing."""
+        """Show something else on every page; None: nothing."""
         with self._ready:
             for wanted in self._pages.values():
                 if wanted.shown is not shown:
@@ -128,7 +128,7 @@ class Painter:
                     self._touch(wanted)
 
     def pose(self, page: int) -> Pose | None:
-        """Return where a page's camera is, None if it has not said."""
+        """Return the pose of a page's camera, None if not reported yet."""
         with self._ready:
             return self._pages[page].pose if page in self._pages else None
 
@@ -139,7 +139,7 @@ class Painter:
             return wanted.exact if wanted is not None and wanted.painted == (wanted.version, 1) else None
 
     def resting(self) -> bool:
-        """Whether pages are open, and all of them show exact pictures."""
+        """Return whether pages are open and all of them show exact pictures."""
         with self._ready:
             return bool(self._pages) and all(one.painted == (one.version, 1) for one in self._pages.values())
 
@@ -170,7 +170,7 @@ class Painter:
                     self._paint_exact(wanted, version, pose, shown)
                 else:
                     self._paint_moving(wanted, version, pose, shown)
-            except Exception as error:  # a page that has gone, a field that cannot be rendered
+            except Exception as error:  # a closed page, a field that cannot be rendered
                 self._failed(error)
                 with self._ready:
                     wanted.painted = (version, 1)
@@ -187,13 +187,13 @@ class Painter:
         return None
 
     def _pause(self) -> float | None:
-        """Return how long until a camera rests, None if none moves."""
+        """Return the time until a camera is considered at rest, None if none moves."""
         moving = [one.changed for one in self._pages.values() if one.painted == (one.version, 0)]
         return max(0.005, min(moving) + REST_SECONDS - self._clock()) if moving else None
 
     def _paint_moving(self, wanted: Wanted, version: int, pose: Pose, shown: Shown) -> None:
         if wanted.kept is not None and wanted.kept.recolors_to(pose, shown):
-            use_threads(1)  # short steps: a second thread is waited for longer than it helps
+            use_threads(1)  # short steps: waiting for a second thread takes longer than it saves
             began = time.perf_counter()
             wanted.send(wanted.kept.recolored(shown, self._thinned), False, 1)
             seconds = time.perf_counter() - began
@@ -204,7 +204,7 @@ class Painter:
         camera = pose.camera(min(self.pace.moving / self._fps * FEWER, self._exact_pixels))
         pixels = np.arange(camera.width * camera.height)
         with self.pace.in_motion(len(pixels)) as threads:
-            rendered = [  # in batches: each ray takes pages of its own in every array of its samples
+            rendered = [  # in batches: each ray uses separate pages in every array of its samples
                 render(camera, shown, batch, threads, self._arena, MOVING)
                 for batch in in_batches(pixels, MOST_RAYS, lambda: self._ended)
             ]

@@ -1,4 +1,4 @@
-"""What was changed of a palette on the page, as options of `stylerf stylize`."""
+"""Palette changes made on the page, as options of `stylerf stylize`."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any, get_type_hints
@@ -13,7 +13,7 @@ from stages.configs.typed import typed
 
 @dataclass(frozen=True)
 class Changes:
-    """What was changed of a palette, by index: #rrggbb, factor and summand of the weight."""
+    """Palette changes by index: #rrggbb, factor and offset of the weight."""
 
     colors: dict[int, str] = field(default_factory=dict)
     weights: dict[int, float] = field(default_factory=dict)
@@ -29,10 +29,10 @@ class Changes:
 
 
 def learned_with(edit: Artifact, changes: PaletteConfig) -> RegionConfig:
-    """Return the options under which an edit was learned, with other changes of its palette.
+    """Return the options with which an edit was learned, with other changes of its palette.
 
     Raises:
-        ArtifactDamaged: its manifest holds options that no run has had.
+        ArtifactDamaged: its manifest contains unknown options.
     """
     made, kinds = edit.manifest.config, get_type_hints(EditConfig)
     given: dict[str, Any] = {item.name: getattr(changes, item.name) for item in fields(PaletteConfig)}

@@ -1,4 +1,4 @@
-"""A camera path in progress, its file in the viewer's folder, and the command that renders it."""
+"""A camera path being edited, its file in the viewer's folder, and the command that renders it."""
 
 import threading
 from dataclasses import replace
@@ -16,7 +16,7 @@ class PathEditor:
     """Changes keyframes.
 
     Attributes:
-        keyframes: Present ones.
+        keyframes: The current ones.
     """
 
     def __init__(self, library: Library) -> None:
@@ -39,7 +39,7 @@ class PathEditor:
             self.keyframes = replace(self.keyframes, between=between)
 
     def file(self, name: str) -> Path:
-        """Return where a path of this name is saved."""
+        """Return the file for a path of this name."""
         return self._library.own / "paths" / f"{valid_name(name)}.json"
 
     def save(self, name: str) -> Path:

@@ -1,4 +1,4 @@
-"""Pictures of what is shown: rendered pixels, and an exact picture that can be recolored without rendering it again."""
+"""Pictures of what is shown: rendered pixels, and an exact picture that can be recolored without rerendering."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ from stylerf.rendering.interlaced import coarsest_within, render_pixels
 from stylerf.rendering.pixel_mixtures import Mixing, MixtureRecorder, colors_of
 from stylerf.rendering.ray_registration import every
 
-MOST_MIXTURES = 250_000  # pixels of a picture that is recolored at once: more take longer than the eye waits
+MOST_MIXTURES = 250_000  # pixels of a picture that is recolored in one go: more would take noticeably long
 STRIDES = (1, 2, 4, 8, 16, 32)
 
 
@@ -25,7 +25,7 @@ class Quality:
 
     Attributes:
         min_transmittance: Where they end.
-        steps: Length of a step, in the field's own. Twice is 38 to 46 dB from once at 126 x 94 pixels.
+        steps: Length of a step, relative to the field's own. At 2, PSNR to 1 is 38 to 46 dB (126 x 94 pixels).
     """
 
     min_transmittance: float = 1e-3
@@ -37,11 +37,11 @@ EXACT = Quality()
 
 @dataclass(eq=False)
 class Mixtures:
-    """What the pixels of an exact picture are mixed of; of those on the grid of a stride.
+    """The color mixtures of an exact picture's pixels, for those on the grid of a stride.
 
     Attributes:
         means: [pixels, mixture_width] mean mixtures.
-        shares: [pixels] part of the pixel's light that is mixed.
+        shares: [pixels] fraction of the pixel's light that is mixed.
     """
 
     stride: int
@@ -50,7 +50,7 @@ class Mixtures:
 
     @staticmethod
     def room_for(camera: Camera, shown: Shown) -> "Mixtures | None":
-        """Return room for the mixtures of a picture; None if its colors are not mixtures."""
+        """Return storage for the mixtures of a picture; None if its colors are not mixtures."""
         color = shown.left.field.color
         if not isinstance(color, Mixing) or shown.plane != "color":
             return None
@@ -59,7 +59,7 @@ class Mixtures:
         return Mixtures(stride, np.zeros((count, color.mixture_width), np.float32), np.zeros(count, np.float32))
 
     def keep(self, camera: Camera, pixels: np.ndarray, recorder: MixtureRecorder) -> None:
-        """Keep the mixtures of rendered pixels [n], row-major."""
+        """Store the mixtures of rendered pixels [n], row-major."""
         rows, columns = np.divmod(pixels, camera.width)
         on = (rows % self.stride == 0) & (columns % self.stride == 0)
         at = rows[on] // self.stride * -(-camera.width // self.stride) + columns[on] // self.stride
@@ -84,7 +84,7 @@ class Painted:
     mixtures: Mixtures | None = None
 
     def _colors(self, shown: Shown, at: np.ndarray | slice) -> np.ndarray:
-        """Return the colors [n, 3] of mixtures under the palette of something to show."""
+        """Return the colors [n, 3] of mixtures under the palette of what is shown."""
         assert self.mixtures is not None
         seen = shown.left.field
         return colors_of(cast(Mixing, seen.color), self.mixtures.means[at], seen.color_map)
@@ -94,7 +94,7 @@ class Painted:
         return self._colors(self.shown, slice(None))
 
     def recolors_to(self, pose: Pose, shown: Shown) -> bool:
-        """Whether something else to show differs from this picture in its palette alone."""
+        """Return whether something else to show differs from this picture only in its palette."""
         old, now, mixtures = self.shown.left.field, shown.left.field, self.mixtures
         same = self.pose == pose and self.shown.differs_by_colors(shown) and old.color_map is now.color_map
         color = old.color
@@ -104,7 +104,7 @@ class Painted:
         """Return the picture [h, w, 3] uint8 under another palette, approximately; see pixel_mixtures.
 
         Args:
-            thinned: stride of the pixels of the mixtures' grid that are taken; others are left out.
+            thinned: stride of the pixels of the mixtures' grid that are used; others are left out.
         """
         assert self.mixtures is not None
         stride = self.mixtures.stride * thinned
@@ -126,7 +126,7 @@ def render(
     quality: Quality = EXACT,
     mixtures: Mixtures | None = None,
 ) -> np.ndarray:
-    """Render pixels [n] of either side of the wipe: [n, 6]. mixtures: receives what those of the left are mixed of."""
+    """Render pixels [n] of either side of the wipe: [n, 6]. mixtures: receives the mixtures of those on the left."""
     out = np.empty((len(pixels), 6), np.float32)
     right = pixels % camera.width >= shown.boundary(camera.width)
     for source, which in ((shown.left, ~right), (shown.right, right)):
@@ -137,7 +137,7 @@ def render(
             seen = replace(seen, step=seen.step * quality.steps)
         if mixtures is not None and source is shown.left and isinstance(seen.color, Mixing):
             recorder = MixtureRecorder(seen.color)
-            seen = replace(seen, color=cast(ColorPart, recorder))  # all that rendering asks of a color
+            seen = replace(seen, color=cast(ColorPart, recorder))  # all that rendering needs of a color
         out[which] = render_pixels(
             seen,
             camera,

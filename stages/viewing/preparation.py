@@ -1,4 +1,4 @@
-"""What the first selection in a field needs, computed while the page rests: a look at the training views."""
+"""Prepares the first selection in a field while the page is idle: renders the training views."""
 
 import threading
 from collections.abc import Callable
@@ -10,14 +10,14 @@ from stages.viewing.display import Display
 from stages.viewing.runs import ENDING_SECONDS
 from stylerf.errors import InvalidValue
 
-if TYPE_CHECKING:  # imports torch, which the first picture should not wait for
+if TYPE_CHECKING:  # imports torch, which must not delay the first picture
     from stages.viewing.growing import Grower
 
-LOOK_SECONDS = 0.2  # between looks at whether the page rests
+LOOK_SECONDS = 0.2  # between checks whether the page is idle
 
 
 class Preparation:
-    """Holds what grows selections in the shown field.
+    """Provides what grows selections in the shown field.
 
     Attributes:
         say: Receives notes for the user.
@@ -25,7 +25,7 @@ class Preparation:
 
     def __init__(self, display: Display, threads: int, say: Callable[[str], None]) -> None:
         self._display, self._threads, self.say = display, threads, say
-        self._growers: dict[str, Grower] = {}  # of the field that is shown, by its digest
+        self._growers: dict[str, Grower] = {}  # of the shown field, by digest
         self._growing = threading.Lock()  # over _growers
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -42,7 +42,7 @@ class Preparation:
             return self._growers[key]
 
     def start(self) -> None:
-        """From now on prepare each field that is shown while no picture is waited for, in a thread."""
+        """From now on prepare each shown field in a thread, while no picture is being waited for."""
         with self._display.lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="prepare", daemon=True)
@@ -64,10 +64,10 @@ class Preparation:
                 if self.grower().prepare(partial(self._idle_with, field)):
                     done = field
             except (StylerfError, InvalidValue, ValueError, OSError, MemoryError):
-                done = field  # a click says what is wrong
+                done = field  # a click reports what is wrong
 
     def _idle_with(self, field: str) -> bool:
-        """Wait until no picture is waited for; return whether this field is shown still."""
+        """Wait until no picture is being waited for; return whether this field is still shown."""
         while not self._closing.is_set() and self._display.field == field:
             if self._display.painter.resting():
                 return True

@@ -1,4 +1,4 @@
-"""Recoloring: the palette that is open, its changes, and the commands that keep them."""
+"""Recoloring: the open palette, its changes, and the commands that save them."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,12 +12,12 @@ from stages.viewing.palette_changes import Changes, learned_with
 from stages.viewing.shown import Source
 from stylerf.fields.blended_color import BlendedColor
 
-if TYPE_CHECKING:  # imports torch, which the first picture should not wait for
+if TYPE_CHECKING:  # imports torch, which must not delay the first picture
     from stages.artifacts.edit import Edit
     from stages.viewing.recoloring import Swatch
     from stylerf.editing.edit_grid import Region
 
-EDIT_MARK = "edit "  # before the name of a region's palette in lists of what can be recolored
+EDIT_MARK = "edit "  # precedes the name of a region's palette in lists of what can be recolored
 
 
 class Recolorer:
@@ -51,11 +51,11 @@ class Recolorer:
         return swatches(self._artifact()) if self.palette else []
 
     def reset(self) -> None:
-        """Take all changes back."""
+        """Undo all changes."""
         self.open(self.palette)
 
     def change(self, index: int, color: str = "", weight: float | None = None, bias: float | None = None) -> None:
-        """Change a palette color: its color (#rrggbb), the factor of its weight, what is added to that."""
+        """Change a palette color: its color (#rrggbb), the factor and the offset of its weight."""
         with self._display.lock:
             new = self.changes
             if color:
@@ -69,7 +69,7 @@ class Recolorer:
             self._display.refresh()
 
     def recolored(self, source: Source) -> Source:
-        """Return a source with the palette's changes, if they are of it."""
+        """Return a source with the palette's changes, if they apply to it."""
         if not self.palette:
             return source
         from stages.viewing.recoloring import edit_changes, edited_field, field_changes, recolored_field
@@ -87,19 +87,19 @@ class Recolorer:
         return replace(source, field=field)
 
     def _loaded(self, artifact: Artifact) -> "tuple[Edit, Region]":
-        """Return an edit and its region; the last ones from memory, so that a slider does not read them each time."""
+        """Return an edit and its region; the last ones are cached, so that a slider does not reread them."""
         from stages.artifacts.edit import load_edit
 
         region = self._library.region_of_edit(artifact)
         if region is None:
-            raise BadInput(f"the region of edit {artifact.name} is gone; select it again")
+            raise BadInput(f"the region of edit {artifact.name} no longer exists; select it again")
         key = artifact.digest, region.digest
         if key not in self._edits:
             self._edits = {key: (load_edit(artifact), self._library.region(region.name))}
         return self._edits[key]
 
     def command(self, name: str = "") -> list[str]:
-        """Return the command that keeps the changes.
+        """Return the command that saves the changes.
 
         Raises:
             UsageError: nothing was changed.
@@ -112,7 +112,7 @@ class Recolorer:
             artifact = self._artifact()
             region = self._library.region_of_edit(artifact)
             if region is None:
-                raise UsageError(f"the region of edit {artifact.name} is gone; select it again")
+                raise UsageError(f"the region of edit {artifact.name} no longer exists; select it again")
             learned = learned_with(artifact, config)
             return command("stylize", root, learned, region=region.name, name=named)
         merged = PaletteFieldConfig(

@@ -1,4 +1,4 @@
-"""Recoloring at once: the palettes of a work folder, and the field that shows changes of one."""
+"""Immediate recoloring: the palettes of a work folder, and the field that shows changes of one."""
 
 from dataclasses import dataclass, replace
 from typing import cast
@@ -32,7 +32,7 @@ def swatches(artifact: Artifact) -> list[Swatch]:
 
 
 def field_changes(artifact: Artifact, color: ColorPart, config: PaletteConfig) -> PaletteEdits:
-    """Return a config's changes of a decomposed field as its colors count them."""
+    """Return a config's changes of a decomposed field, by the field's color numbers."""
     assert isinstance(color, PaletteColor)
     columns, shares = columns_and_shares(artifact, color.bases)
     changes = changes_of(config, color.present_palette[columns], np.array(shares)[columns])
@@ -47,7 +47,7 @@ def recolored_field(of: RadianceField, changes: PaletteEdits) -> RadianceField:
 
 
 def edit_changes(artifact: Artifact, edit: Edit, config: PaletteConfig) -> PaletteEdits:
-    """Return a config's changes of a region's palette as its module counts colors."""
+    """Return a config's changes of a region's palette, by the module's color numbers."""
     palette = edit.module.palette
     columns, shares = columns_and_shares(artifact, len(palette))
     changes = changes_of(config, palette[columns], np.array(shares)[columns])
@@ -57,5 +57,5 @@ def edit_changes(artifact: Artifact, edit: Edit, config: PaletteConfig) -> Palet
 
 def edited_field(of: RadianceField, edit: Edit, region: Region, changes: PaletteEdits) -> RadianceField:
     """Return the field as it looks with a region's edit, before any field is trained on that."""
-    color = cast(ColorPart, EditedColor(of.color, edit.module, region.edit, changes))  # all that rendering asks of it
+    color = cast(ColorPart, EditedColor(of.color, edit.module, region.edit, changes))  # all that rendering needs of it
     return replace(of, color=color)

@@ -1,4 +1,4 @@
-"""Runs of other commands: each in a process of its own, which outlives the page and resumes when it is run again."""
+"""Runs of other commands: each in a separate process, which outlives the page and resumes when it is run again."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from stages.viewing.commands import script_of
 # Without -P, `-m` imports from the current folder first, whose files may be untrusted.
 PROGRAM = (sys.executable, "-P", "-m", "stylerf_cli.main")
 KEPT_LINES = 200
-ENDING_SECONDS = 30.0  # that a stopped run has for its last checkpoint
+ENDING_SECONDS = 30.0  # time that a stopped run has for its last checkpoint
 
 
 class Run:
@@ -22,7 +22,7 @@ class Run:
 
     Attributes:
         arguments: Of `stylerf`, without the common ones.
-        lines: What it has said, the latest last.
+        lines: Its output, the latest last.
         code: Its exit code, None while it runs.
     """
 
@@ -62,7 +62,7 @@ class Run:
 
     @property
     def last(self) -> str:
-        """The last line it has said, empty before the first."""
+        """Its last line of output, empty before the first."""
         return self.lines[-1] if self.lines else ""
 
     def stop(self) -> None:
@@ -87,23 +87,23 @@ class Run:
         self._tell(self._ended)
 
     def _tell(self, whom: Callable[["Run"], None]) -> None:
-        """Call back; an error there, which ends nothing here, becomes a line of this run."""
+        """Call back; an error there does not end the run, but becomes one of its lines."""
         try:
             whom(self)
         except Exception as error:
-            self.lines.append(f"the page could not follow: {one_line(error)}")
+            self.lines.append(f"the page could not show this run: {one_line(error)}")
 
 
 class Runs:
     """The commands of a session, one at a time.
 
     Attributes:
-        present: The last that was started, None before the first.
+        present: The last one started, None before the first.
         commands: All of them, for the session's script.
     """
 
     def __init__(self, common: Sequence[str] = (), changed: Callable[[], None] = lambda: None) -> None:
-        """Begin without any.
+        """Start without any.
 
         Args:
             common: arguments that every command gets, such as --threads 2.
@@ -114,7 +114,7 @@ class Runs:
         self.commands: list[list[str]] = []
 
     def start(self, arguments: list[str], ended: Callable[[Run], None] = lambda run: None) -> Run:
-        """Run a command, and note it for the session's script.
+        """Run a command, and record it for the session's script.
 
         Raises:
             UsageError: another one is still running.
@@ -122,7 +122,7 @@ class Runs:
         with self._lock:
             if self.present is not None and self.present.code is None:
                 verb = self.present.arguments[0]
-                raise UsageError(f"`stylerf {verb}` is still running; stop it, or wait for its end")
+                raise UsageError(f"`stylerf {verb}` is still running; stop it, or wait for it to finish")
             if arguments not in self.commands[-1:]:
                 self.commands.append(arguments)
 
@@ -137,12 +137,12 @@ class Runs:
             return self.present
 
     def stop(self) -> None:
-        """Interrupt the present one; the same command resumes it."""
+        """Interrupt the current one; the same command resumes it."""
         if self.present is not None:
             self.present.stop()
 
     def close(self) -> None:
-        """Interrupt the present one and wait for its checkpoint."""
+        """Interrupt the current one and wait for its checkpoint."""
         if self.present is not None and self.present.code is None:
             self.present.stop()
             self.present.wait()

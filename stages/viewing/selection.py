@@ -1,4 +1,4 @@
-"""A selection in progress: its options as `stylerf select` takes them, and undo."""
+"""A selection in progress: its options as in `stylerf select`, and undo."""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,7 +9,7 @@ MOST_STEPS = 20
 
 @dataclass(frozen=True)
 class Selection:
-    """Options of a selection in progress; empty ones select nothing yet. combined: (region, how), in their order."""
+    """Options of a selection in progress; empty ones select nothing yet. combined: (region, how), in order."""
 
     at: tuple[str, ...] = ()
     avoid: tuple[str, ...] = ()
@@ -26,24 +26,24 @@ class Selection:
         return bool(self.at or self.box or self.union)
 
     def config(self) -> SelectConfig:
-        """Return the options of `stylerf select`; ValueError where they do not make sense together."""
+        """Return the options of `stylerf select`; ValueError if they are inconsistent."""
         own = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return SelectConfig(**own)
 
 
 @dataclass
 class History:
-    """Selections up to the present one, to go back to."""
+    """Selections up to the current one, for undo."""
 
     states: list[Selection] = field(default_factory=lambda: [Selection()])
 
     @property
     def now(self) -> Selection:
-        """The present selection."""
+        """The current selection."""
         return self.states[-1]
 
     def change(self, **values: object) -> Selection:
-        """Change the selection, as a new state; one that changes nothing is none."""
+        """Change the selection, as a new state unless nothing changes."""
         new = replace(self.now, **values)  # type: ignore[arg-type]  # replace checks the names
         if new != self.now:
             self.states.append(new)
@@ -54,7 +54,7 @@ class History:
         return self.change(**{name: (*getattr(self.now, name), value)})
 
     def undo(self) -> Selection:
-        """Return to the selection before, if there is one."""
+        """Return to the previous selection, if there is one."""
         if len(self.states) > 1:
             self.states.pop()
         return self.now

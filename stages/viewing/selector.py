@@ -10,8 +10,8 @@ from stages.viewing.display import Display
 from stages.viewing.preparation import Preparation
 from stages.viewing.selection import History
 
-CLICK_PIXELS = 200_000.0  # of the camera that clicks are looked up in; its pixels are finer than any field
-BOX_RAYS = 24  # a side, through a rectangle that becomes a box
+CLICK_PIXELS = 200_000.0  # of the camera in which clicks are looked up; its pixels are finer than any field
+BOX_RAYS = 24  # rays per side through a rectangle that becomes a box
 
 Place = tuple[float, float]  # across and down, 0..1 from the top left
 
@@ -20,7 +20,7 @@ class Selector:
     """A selection in progress.
 
     Attributes:
-        history: Its options up to now.
+        history: Its options so far.
     """
 
     def __init__(self, display: Display, preparation: Preparation, threads: int) -> None:
@@ -29,13 +29,13 @@ class Selector:
         self.history = History()
 
     def click(self, pose: Pose, across: float, down: float, avoid: bool = False) -> str:
-        """Add what a place of the picture shows to the selection, or mark it as not part of it; return the seed.
+        """Add what the picture shows at a position to the selection, or exclude it; return the seed.
 
         Args:
             across, down: in 0..1, from the top left.
 
         Raises:
-            BadInput: nothing is there, or no training view shows it.
+            BadInput: the position hits nothing, or no training view shows it.
         """
         seed = self._seeds(pose, [(across, down)], skipping=False)[0]
         with self._display.lock:
@@ -44,14 +44,14 @@ class Selector:
         return seed
 
     def scribble(self, pose: Pose, places: list[Place], avoid: bool = False) -> int:
-        """Add several places along a stroke; return how many of them meet something that a view shows.
+        """Add several positions along a stroke; return how many of them hit something that a view shows.
 
         Raises:
             BadInput: none of them does.
         """
         found = self._seeds(pose, places, skipping=True)
         if not found:
-            raise BadInput("the stroke hits nothing that a training view shows: draw over an object")
+            raise BadInput("the stroke hits nothing of the field that a training view shows: draw over an object")
         name = "avoid" if avoid else "at"
         with self._display.lock:
             self.history.change(**{name: tuple(dict.fromkeys((*getattr(self.history.now, name), *found)))})
@@ -59,7 +59,7 @@ class Selector:
         return len(found)
 
     def _seeds(self, pose: Pose, places: list[Place], skipping: bool) -> list[str]:
-        """Return VIEW:X,Y of places; skipping: leave out those that no view shows."""
+        """Return VIEW:X,Y of positions; skipping: leave out those that no view shows."""
         from stages.viewing.growing import place_of, seen_at
 
         camera, found = pose.camera(CLICK_PIXELS), list[str]()
@@ -87,7 +87,7 @@ class Selector:
         field = self._display.source().field
         x, alpha = ends_of_rays(field, camera, pixels, self._threads)
         if not (alpha > 0.5).any():
-            raise BadInput("the rectangle shows nothing of the field: draw it over an object")
+            raise BadInput("the rectangle contains nothing of the field: draw it over an object")
         corners = box_around(field.space.unwarp(np.clip(x[alpha > 0.5], 1e-6, 1 - 1e-6)))
         self.change(box=corners)
         return corners
@@ -99,7 +99,7 @@ class Selector:
             self.grow()
 
     def undo(self) -> None:
-        """Take back the last change of the selection."""
+        """Undo the last change of the selection."""
         with self._display.lock:
             self.history.undo()
             self.grow()
@@ -111,7 +111,7 @@ class Selector:
             self.grow()
 
     def grow(self) -> None:
-        """Compute the selection's cells, and show them; one that cannot be is undone."""
+        """Compute the selection's cells and show them; an invalid selection is undone."""
         with self._display.lock:
             self._display.selected = None
             if self.history.now:
@@ -128,7 +128,7 @@ class Selector:
         return 0 if self._display.selected is None else int(self._display.selected.sum())
 
     def command(self, name: str = "") -> list[str]:
-        """Return the command that makes a region of the selection.
+        """Return the command that makes a region from the selection.
 
         Raises:
             UsageError: nothing is selected.

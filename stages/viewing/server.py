@@ -42,10 +42,10 @@ class Viewer:
             common: arguments of every command that the page runs.
 
         Raises:
-            UsageError: There is no such field.
-            OutOfResources: viser is missing, or another viewer holds the folder.
-            ArtifactStale: the folder holds no scene or no field.
-            OutOfResources: another viewer holds the folder (the message names it), or the port is taken.
+            UsageError: the field does not exist.
+            OutOfResources: viser is missing, or another viewer locks the folder.
+            ArtifactStale: the folder contains no scene or no field.
+            OutOfResources: another viewer locks the folder (the message names it), or the port is taken.
         """
         viser = _viser()
         from stages.viewing.cameras import Pose
@@ -79,7 +79,9 @@ class Viewer:
                 self._server = viser.ViserServer(config.host, config.port, verbose=False)
             if len(started) != 1:
                 self._server.stop()
-                raise UsageError("this version of viser starts its server in another way; install the one listed")
+                raise UsageError(
+                    "this version of viser is not supported; reinstall it with pip install 'stylerf[view]'"
+                )
             host = config.host if here or config.host not in ("0.0.0.0", "::") else socket.gethostname()
             query = f"/?token={guard.token}" if guard.token else ""
             self.url = f"http://{f'[{host}]' if ':' in host else host}:{self._server.get_port()}{query}"
@@ -99,7 +101,7 @@ class Viewer:
         threading.Event().wait()
 
     def close(self) -> None:
-        """Interrupt the run, end the server, free the folder."""
+        """Interrupt the run, stop the server, unlock the folder."""
         self.desk.close()
         self._painter.stop()
         self._server.stop()
@@ -115,12 +117,12 @@ def _viser() -> Any:
         raise OutOfResources(
             f"the viewer needs viser, which cannot be imported ({error}); pip install 'stylerf[view]'"
         ) from error
-    rich.get_console().quiet = True  # viser prints where it serves, and that it has stopped
+    rich.get_console().quiet = True  # viser prints its address, and that it has stopped
     return viser
 
 
 def _check_port(config: ViewConfig) -> None:
-    """Raise OutOfResources if the address cannot be bound: viser itself would try others without an end."""
+    """Raise OutOfResources if the address cannot be bound: viser itself would try others endlessly."""
     family = socket.AF_INET6 if ":" in config.host else socket.AF_INET
     try:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
@@ -128,6 +130,6 @@ def _check_port(config: ViewConfig) -> None:
             probe.bind((config.host, config.port))
     except OSError as error:
         raise OutOfResources(
-            f"--host {config.host} --port {config.port} cannot be served at ({error.strerror or error}); give another "
+            f"--host {config.host} --port {config.port} is not available ({error.strerror or error}); give another "
             "--port, or 0 for any free one"
         ) from error

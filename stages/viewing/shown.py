@@ -1,4 +1,4 @@
-"""What a picture of the viewer shows: fields, planes and marked cells, seen by a camera."""
+"""The contents of a picture in the viewer: fields, planes and marked cells, seen by a camera."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ TINT_SHARE = 0.55
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A field to look at. name: of its artifact. level: gray behind it, 0..1."""
+    """A field to show. name: of its artifact. level: gray behind it, 0..1."""
 
     name: str
     field: RadianceField
@@ -25,14 +25,14 @@ class Source:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is shown. Two are the same only if they are one object, so a changed field or region is a new one.
+    """What is shown. Two are equal only if they are the same object, so a changed field or region is a new one.
 
     Attributes:
-        left: The field, or with `right` the one left of the wipe.
-        right: The field right of the wipe, None without one.
-        wipe: Where the wipe is, as a fraction of the width.
+        left: The field, or with `right` the one to the left of the wipe.
+        right: The field to the right of the wipe, None without one.
+        wipe: Position of the wipe, as a fraction of the width.
         plane: One of PLANES.
-        marked: [s, s, s] bool, cells to tint (with `mask` all that is shown); None: none.
+        marked: [s, s, s] bool, cells to tint (with plane `mask`, all that is shown); None: none.
     """
 
     left: Source
@@ -42,7 +42,7 @@ class Shown:
     marked: np.ndarray | None = field(default=None, repr=False)
 
     def differs_by_colors(self, other: "Shown") -> bool:
-        """Whether the same density is shown in the same way."""
+        """Return whether the same density is shown in the same way."""
         return (
             self.left.field.density is other.left.field.density
             and self.left.level == other.left.level

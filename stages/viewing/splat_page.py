@@ -1,4 +1,4 @@
-"""A scene as one HTML file that opens without a server: its exported splats, and viser's own page around them."""
+"""A scene as one HTML file that opens without a server: its exported splats in viser's own page."""
 
 from pathlib import Path
 from typing import Any
@@ -10,14 +10,14 @@ from schemas.splat_ply import StoredSplats, read_splat_ply
 from stages.viewing.guard import Guard
 from stylerf.geometry.spherical_harmonics import C0
 
-MOST_SPLATS = 400_000  # of a page: 25 bytes each once it is packed
+MOST_SPLATS = 400_000  # splats of a page: 25 bytes each when packed
 # A page from a file has no origin that browsers start a worker's blob for; without blobs viser sends it as a data URL.
 WORKERS_FROM_DATA = (
     "<script>{const plain=URL.createObjectURL;"
     'URL.createObjectURL=one=>/javascript/.test(one.type)?"":plain.call(URL,one)}</script>'
 )
 # Scene units from the origin beyond which splats are drawn nearer, within twice that: viser draws nothing beyond 1000
-# units, and its half floats hold no covariance of a splat larger than 255.
+# units, and its half floats cannot store the covariance of a splat larger than 255.
 NEAR_ENOUGH = 400.0
 OPAQUE_ENOUGH = 0.02  # fainter splats are left out
 
@@ -26,8 +26,8 @@ def gaussians(stored: StoredSplats, most: int = MOST_SPLATS) -> dict[str, np.nda
     """Return what viser draws: centers [n, 3], covariances [n, 3, 3], rgbs [n, 3] in 0..1, opacities [n, 1].
 
     Colors are those of the mean direction, since viser draws no spherical harmonics. Of more than `most` splats the
-    most visible are kept: opacity times extent. Those of a far background are moved towards the origin and shrunk
-    alike, so that they look the same from cameras about it.
+    most visible are kept: opacity times extent. Those of a far background are moved towards the origin and shrunk by
+    the same factor, so that they look the same from cameras near it.
     """
     turns = stored.quaternions / np.linalg.norm(stored.quaternions, axis=1, keepdims=True)
     w, x, y, z = turns.T
@@ -65,7 +65,7 @@ def write_page(splats: Path, target: Path, camera: Any, up: np.ndarray) -> Path:
     import rich
     import viser
 
-    rich.get_console().quiet = True  # viser prints where it serves
+    rich.get_console().quiet = True  # viser prints its address
     parts = gaussians(read_splat_ply(splats))
     with Guard().set_over_servers():
         server = viser.ViserServer("127.0.0.1", 0, verbose=False)

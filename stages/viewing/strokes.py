@@ -1,7 +1,7 @@
-"""Freehand strokes on the page: where a drag went, drawn as it goes, and seeds along it.
+"""Freehand strokes on the page: the path of a drag, drawn live, and seeds along it.
 
-viser reports the way of a drag on an object of its scene alone, and only the two corners of one elsewhere. So a sphere
-around everything takes the drags, beyond what is drawn: it, and viser's arrow on it, are never seen.
+viser reports the path of a drag only on an object of its scene, and elsewhere only two corners. So a sphere around
+everything receives the drags, beyond the drawing distance: it, and viser's arrow on it, are never visible.
 """
 
 import threading
@@ -21,7 +21,7 @@ Place = tuple[float, float]  # across and down, 0..1 from the top left
 
 
 def seeds_along(way: list[Place], aspect: float) -> list[Place]:
-    """Return places along a stroke, equally far apart in the picture: every SPACING, at most MOST_SEEDS.
+    """Return positions along a stroke, equally spaced in the picture: every SPACING, at most MOST_SEEDS.
 
     Args:
         aspect: Width of the picture over its height.
@@ -43,11 +43,11 @@ def drawn_at(pose: Pose, way: list[Place], away: float) -> np.ndarray:
 
 
 class Strokes:
-    """Takes drags with Shift while it is on.
+    """Receives drags with Shift while enabled.
 
     Args:
         page: of the viewer.
-        drawn: receives the page's client and the way of each finished stroke, in a thread of its own.
+        drawn: receives the page's client and the path of each finished stroke, in a separate thread.
     """
 
     def __init__(self, page: Any, drawn: Callable[[Any, list[Place]], None]) -> None:
@@ -61,7 +61,7 @@ class Strokes:
         self._sphere.on_drag("left", modifier="shift")(self._moved)
 
     def take(self, on: bool) -> None:
-        """Take drags from now on, or none."""
+        """Enable or disable drags."""
         self._sphere.visible = on
 
     async def _moved(self, event: Any) -> None:  # async: viser then keeps the order of events

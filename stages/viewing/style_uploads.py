@@ -1,4 +1,4 @@
-"""Style images that come from the page: checked, cropped, and kept as PNG in the viewer's own folder."""
+"""Style images uploaded from the page: checked, cropped, and saved as PNG in the viewer's own folder."""
 
 import tempfile
 from pathlib import Path
@@ -19,13 +19,15 @@ def read_upload(name: str, content: bytes) -> np.ndarray:
     """Return an uploaded image, [h, w, 3 or 4] float32 sRGB 0..1.
 
     Raises:
-        BadInput: it is too large, or no image.
+        BadInput: it is too large, or not an image.
     """
     suffix = Path(name).suffix.lower()
     if len(content) > LARGEST_BYTES:
-        raise BadInput(f"a style image of {len(content) / 1e6:.0f} MB; at most {LARGEST_BYTES / 1e6:.0f} MB can be")
+        raise BadInput(
+            f"the style image has {len(content) / 1e6:.0f} MB; at most {LARGEST_BYTES / 1e6:.0f} MB are supported"
+        )
     if suffix not in SUFFIXES:
-        raise BadInput(f"a style image is one of {', '.join(SUFFIXES)}; this is no such file")
+        raise BadInput(f"unsupported format; expected a style image in one of {', '.join(SUFFIXES)}")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"style{suffix}"
         path.write_bytes(content)
@@ -37,14 +39,14 @@ def cropped(image: np.ndarray, across: float, down: float, size: float) -> np.nd
     height, width = image.shape[:2]
     high, wide = (max(SMALLEST_SIDE, round(side * size)) for side in (height, width))
     if high > height or wide > width:
-        raise BadInput(f"a style image has at least {SMALLEST_SIDE} pixels a side; this one has {width}x{height}")
+        raise BadInput(f"the style image is {width}x{height}; expected at least {SMALLEST_SIDE} pixels per side")
     top = min(max(round(down * height - high / 2), 0), height - high)
     left = min(max(round(across * width - wide / 2), 0), width - wide)
     return image[top : top + high, left : left + wide]
 
 
 def kept(image: np.ndarray, folder: Path) -> Path:
-    """Write an image as PNG, named by its content, so that the same painting is the same file; return the path."""
+    """Write an image as PNG, named after its content, so that the same painting is the same file; return the path."""
     make_folder(folder)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".upload.") as place:
         path = Path(place) / "style.png"

@@ -1,4 +1,4 @@
-"""What the page asks of a stylization, as the command that makes it."""
+"""A stylization requested on the page, as the command that makes it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ class Wish:
 
     Attributes:
         style: File of the style image.
-        method: One of METHODS; regions are stylized by their own.
+        method: One of METHODS; regions have their own method.
         region: Empty for the whole scene.
         strength: Factor of the style distance's weight.
         stroke: Relative size of strokes.
@@ -39,11 +39,11 @@ class Wish:
         """Return the command.
 
         Raises:
-            UsageError: there is no style image, or the name is none.
-            ValueError: options that the stage refuses.
+            UsageError: there is no style image, or the name is invalid.
+            ValueError: options that the stage rejects.
         """
         if not self.style:
-            raise UsageError("there is no painting: choose one first")
+            raise UsageError("no painting selected: choose one first")
         named = self.name and valid_name(self.name)
         if self.region:
             learned = RegionConfig(

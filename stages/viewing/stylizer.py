@@ -1,4 +1,4 @@
-"""Stylizing from the page: the command of a wish, its run shown from its checkpoints, and stopped and kept."""
+"""Stylizing from the page: the command of a request, its run shown from checkpoints, stopped and saved."""
 
 import threading
 import time
@@ -12,7 +12,7 @@ from stages.viewing.shown import Source
 from stages.viewing.styles import Wish
 from stylerf.fields.palette_edits import PaletteEdits
 
-WATCH_SECONDS = 3.0  # between looks at the checkpoints of a stylization
+WATCH_SECONDS = 3.0  # between checks for new checkpoints of a stylization
 
 
 class Stylizer:
@@ -26,7 +26,7 @@ class Stylizer:
         return wish.command(self._library.work.root, self._display.field)
 
     def watch(self, run: Run, name: str, region: str = "") -> None:
-        """Show a stylization of the scene or a region while it runs, from its checkpoints, in a thread of its own."""
+        """Show a stylization of the scene or a region while it runs, from its checkpoints, in a separate thread."""
         from stages.viewing.half_done import half_done, half_learned
         from stages.viewing.recoloring import edited_field
 
@@ -56,7 +56,7 @@ class Stylizer:
         threading.Thread(target=follow, name="watch", daemon=True).start()
 
     def keep(self, ended: Callable[[Run], None] = lambda run: None) -> Run:
-        """Stop the stylization of a scene, if it runs, and make a field of the steps that it has taken.
+        """Stop the stylization of a scene, if it is running, and make a field from the steps taken so far.
 
         Raises:
             UsageError: as keep_command.
@@ -68,7 +68,7 @@ class Stylizer:
         return self._runs.start(self.keep_command(), ended)
 
     def keep_command(self) -> list[str]:
-        """Return the command that ends a stopped stylization where it is: the same, until the steps that it has taken.
+        """Return the command that finishes a stopped stylization where it is: the same, until the steps taken so far.
 
         Raises:
             UsageError: none was stopped, or it has no steps to keep.
@@ -77,13 +77,13 @@ class Stylizer:
 
         run = self._runs.present
         if run is None or run.arguments[0] != "stylize" or "--region" in run.arguments or run.code == 0:
-            raise UsageError("no stylization of a scene was stopped: there is nothing to keep")
+            raise UsageError("no scene stylization was stopped, so there is nothing to keep")
         if run.code is None:
-            raise UsageError("the stylization runs: stop it first")
+            raise UsageError("the stylization is still running: stop it first")
         options = dict(zip(run.arguments, run.arguments[1:], strict=False))
         steps = steps_done(self._library.work, options.get("--name", ""))
         if steps is None:
-            raise UsageError("the stopped run has not taken a style step under a name of its own: resume it")
+            raise UsageError("the stopped run has no finished style step, or no name to keep it under: resume it")
         made = run.arguments
         if "--until" in made:
             at = made.index("--until")

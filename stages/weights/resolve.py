@@ -1,11 +1,11 @@
 """Trained weights, resolved to tensors: feature extractors for stylizing, networks of perceptual metrics.
 
-Nothing is fetched over the network. What is found (stages.weights.sources) is brought to one canonical form, kept as
-safetensors in a cache folder, and identified by the digest of its tensors, so that two files with the same numbers are
+Nothing is downloaded. Weights that are found (stages.weights.sources) are converted to one canonical form, kept as
+safetensors in a cache folder, and identified by the digest of their tensors, so that two files with the same values are
 the same weights.
 
 Environment: STYLERF_CACHE (cache folder; else $XDG_CACHE_HOME/stylerf, else ~/.cache/stylerf), STYLERF_WEIGHTS (a
-folder with weights of the user's own, see stages.weights.sources).
+folder with the user's own weights, see stages.weights.sources).
 """
 
 import hashlib
@@ -53,15 +53,14 @@ class ResolvedExtractor:
     kind: str
 
     def manifest(self) -> dict[str, str]:
-        """What a manifest says of them."""
+        """What a manifest records of them."""
         return {"name": self.name, "digest": self.digest, "source": self.source, "kind": self.kind}
 
 
 def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedExtractor:
-    """The feature extractor to use: the one named, the one in a file, or (None) the first of the default order found.
+    """Return the feature extractor to use: by name, from a file, or (None) the first in default order that is found.
 
-    Raises UsageError for an unknown name or one that is not there (with the command that gets it), BadInput for a
-    damaged file.
+    Raises UsageError for an unknown or missing one (with the command that gets it), BadInput for a damaged file.
     """
     if name_or_path is None:
         for name in DEFAULT_EXTRACTORS:
@@ -82,9 +81,10 @@ def resolve(name_or_path: str | os.PathLike | None = None) -> ResolvedExtractor:
 
 
 def chosen(features: str) -> dict[str, str]:
-    """The options `features` and `features_digest` of a recipe: by name what None would find, of a file its digest too.
+    """Return the options `features` and `features_digest` of a recipe: the name that None resolves to; for a file also
+    its digest.
 
-    Reads no weights. Errors as for `resolve`, but for what is wrong inside a file.
+    Reads no weights. Errors as for `resolve`, except for errors inside a file.
     """
     features = features or found_extractor()
     if features in EXTRACTORS:
@@ -96,37 +96,38 @@ def chosen(features: str) -> dict[str, str]:
 
 
 def digests_of_files(config: Any) -> dict[str, str]:
-    """SHA-256, as they are now, of the painting and the file of weights that the options of a stylization name."""
+    """Return the current SHA-256 of the painting and the weights file that the options of a stylization name."""
     found = {"style_digest": config.style and file_sha256(config.style)}
     return found | ({"features_digest": file_sha256(config.features)} if config.features_digest else {})
 
 
 def found_extractor() -> str:
-    """Name of the extractor that None finds, empty without any; reads no weights."""
+    """Return the name of the extractor that None resolves to, empty without any; reads no weights."""
     return next((row["name"] for row in describe() if row["chosen"]), "")
 
 
 def resolve_metric(name: str) -> ResolvedExtractor:
-    """The network and heads of a perceptual metric by name; errors as for `resolve`."""
+    """Return the network and heads of a perceptual metric by name; errors as for `resolve`."""
     if name not in METRICS:
-        raise UsageError(f"expected a perceptual metric among {', '.join(METRICS)}, found {name!r}")
+        raise UsageError(f"unknown perceptual metric {name!r}; choose from {', '.join(METRICS)}")
     return _named(METRICS[name])
 
 
 def resolve_decoder(name: str = "vgg19-wct-decoder") -> ResolvedExtractor:
-    """The decoder of a feature extractor's features; UsageError with the command that gets it where it is not here."""
+    """Return the decoder of an extractor's features; UsageError with the command that gets it if it is missing."""
     return _named(DECODERS[name])
 
 
 def available_metrics() -> list[str]:
-    """Names of the perceptual metrics whose weights are here, in the order in which they are reported."""
+    """Return the names of the perceptual metrics whose weights are available, in the order of reporting."""
     return [name for name in DEFAULT_METRICS if METRICS[name].locate() or _cached(METRICS[name])]
 
 
 def describe() -> list[dict[str, Any]]:
-    """Every known source of weights, for `doctor`: use, name, words, found, path, cached, chosen, and how to obtain it.
+    """Return every known source of weights, for `doctor`: use, name, words, found, path, cached, chosen, and how to
+    obtain it.
 
-    Only looks whether the files are there; reads none.
+    Only checks whether the files exist; reads none.
     """
     rows, chosen = [], None
     for use, sources in (("features", EXTRACTORS), ("metric", METRICS), ("decoder", DECODERS)):
@@ -151,7 +152,7 @@ def describe() -> list[dict[str, Any]]:
 
 
 def cache_folder() -> Path:
-    """The folder of converted weights; made when something is first kept there."""
+    """Return the folder of converted weights, which is created on first use."""
     own = os.environ.get("STYLERF_CACHE")
     if own:
         return Path(own).expanduser() / "features"
@@ -159,7 +160,7 @@ def cache_folder() -> Path:
 
 
 def state_digest(state: dict[str, Tensor]) -> str:
-    """sha256 over names, shapes and little-endian float32 values, in the order of the names."""
+    """Return the SHA-256 of names, shapes and little-endian float32 values, in the order of the names."""
     total = hashlib.sha256()
     for name in sorted(state):
         values = np.ascontiguousarray(state[name].cpu().numpy().astype("<f4", copy=False))
@@ -171,12 +172,12 @@ def state_digest(state: dict[str, Tensor]) -> str:
 def _named(source: Source) -> ResolvedExtractor:
     found = _read(source)
     if found is None:
-        raise UsageError(f"{source.name} ({source.words}) is not here; get it with: {source.obtain}")
+        raise UsageError(f"{source.name} ({source.words}) not found; get it with: {source.obtain}")
     return found
 
 
 def _read(source: Source) -> ResolvedExtractor | None:
-    """From the cache when its numbers are what they should be, else converted from the files of origin and cached."""
+    """Load from the cache if its values are as expected, else convert the original files and cache the result."""
     files = source.locate()
     cached = _from_cache(source, files)
     if cached is not None:
@@ -189,7 +190,7 @@ def _read(source: Source) -> ResolvedExtractor | None:
     digest = state_digest(state)
     if source.digest not in (None, digest):
         raise BadInput(
-            f"weights {files[0]}: the numbers are not those of {source.name} (digest {digest[:12]}, expected "
+            f"weights {files[0]}: the values differ from those of {source.name} (digest {digest[:12]}, expected "
             f"{source.digest[:12]}); install it again with: {source.obtain}"
         )
     _keep(source, state, digest, files)
@@ -201,13 +202,13 @@ def _cached_file(source: Source) -> Path:
 
 
 def _cached(source: Source) -> Path | None:
-    """The cached file, if it is there. Without a digest to hold it to it must be of this user's own making."""
+    """Return the cached file, if it exists. Without a digest to check it against, this user must have created it."""
     path = _cached_file(source)
     return path if path.is_file() and (source.digest or not_ours(path) is None) else None
 
 
 def _from_cache(source: Source, files: Sequence[Path] | None) -> ResolvedExtractor | None:
-    """None when nothing is cached, or what is there is damaged or of other files of origin (it is then made again)."""
+    """Return None if nothing is cached, or if it is damaged or from other original files (it is then recreated)."""
     path = _cached(source)
     if path is None:
         return None
@@ -215,7 +216,7 @@ def _from_cache(source: Source, files: Sequence[Path] | None) -> ResolvedExtract
         with safe_open(path, framework="pt") as file:
             known = file.metadata() or {}
             expected = source.digest or known.get("digest")
-            # Files of the user may be replaced by others of the same name.
+            # The user's files may be replaced by others of the same name.
             if source.digest is None and files is not None and known.get("files") != _digests(files):
                 return None
             state = {name: file.get_tensor(name) for name in file.keys()}
@@ -232,7 +233,7 @@ def _digests(files: Sequence[Path]) -> str:
 
 
 def _keep(source: Source, state: dict[str, Tensor], digest: str, files: Sequence[Path]) -> None:
-    """Writes the cache file whole or not at all; a folder that cannot be written to only costs the next conversion."""
+    """Write the cache file completely or not at all; an unwritable folder only means converting again next time."""
     path = _cached_file(source)
     known = {"name": source.name, "kind": source.kind, "digest": digest, "files": _digests(files)}
     data = save(state, metadata=known)

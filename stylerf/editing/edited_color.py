@@ -1,4 +1,4 @@
-"""The color of a field under a local edit that is not trained into it yet."""
+"""The color of a field with a local edit that has not been trained into it yet."""
 
 from collections.abc import Callable
 
@@ -15,13 +15,13 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 
 class EditedColor:
-    """Colors of another part, and in marked cells those of a palette module after changes.
+    """The colors of another part, replaced in marked cells with those of a palette module after changes.
 
-    The module has learned from the ends of rays; here it is asked at their samples, which lie around those. To look
-    at only: it learns nothing and is not stored.
+    The module was trained at ray ends; here it is evaluated at samples, which are near them. For previews only: it
+    cannot be trained or stored.
 
     Args:
-        base: the field's colors.
+        base: the field's color part.
         module: of the edit.
         marked: [s, s, s] bool.
         changes: of the module's palette.
@@ -36,7 +36,7 @@ class EditedColor:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """Return colors [n, 3] in 0..1 of samples; -1 in the first channel where one has none."""
+        """Return colors [n, 3] in 0..1 of samples; -1 in the first channel of uncolored samples."""
         return self.observed(points, basis, threads, lambda index, rays, mixture: None, arena)
 
     def observed(
@@ -47,11 +47,11 @@ class EditedColor:
         seen: Callable[[np.ndarray, np.ndarray, Callable[[], np.ndarray]], None],
         arena: ScratchArena | None = None,
     ) -> np.ndarray:
-        """Do as colors(), and show what those of the region were mixed of.
+        """Return the same as colors(), and pass the mixtures behind the region's colors to a callback.
 
         Args:
-            seen: called with the points in marked cells, the ray of each, and a function that returns their mixtures
-                [n, mixture_width] before the changes, whose means remixed() takes: weights and offset.
+            seen: called with the indices of points in marked cells, the ray of each, and a function that returns their
+                mixtures before the changes, [n, mixture_width]: weights and offset. remixed() takes their means.
         """
         bands = (getattr(self._base, "degree", 0) + 1) ** 2
         out = self._base.colors(points, np.ascontiguousarray(basis[:, :bands]), threads, arena)
@@ -66,11 +66,11 @@ class EditedColor:
 
     @property
     def mixture_width(self) -> int:
-        """Numbers of a mixture."""
+        """Number of values in a mixture."""
         return len(self._module.palette) + 3
 
     def mixes_as(self, other: object) -> bool:
-        """Whether another color has the same mixtures at the same places, whatever the changes."""
+        """Whether another color has the same mixtures at the same points, regardless of the changes."""
         return (
             isinstance(other, EditedColor)
             and other._base is self._base
@@ -79,6 +79,6 @@ class EditedColor:
         )
 
     def remixed(self, mixtures: np.ndarray) -> np.ndarray:
-        """Return the colors [n, 3] of mean mixtures [n, mixture_width] after the changes: of points alike, exact."""
+        """Return the colors [n, 3] of mean mixtures [n, mixture_width] after the changes; exact for equal points."""
         weights, offsets = torch.from_numpy(mixtures).tensor_split([mixtures.shape[1] - 3], 1)
         return self._module.edited(self._module.mixed(weights, offsets), self._changes)

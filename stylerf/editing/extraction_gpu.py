@@ -1,4 +1,4 @@
-"""Ends of rays in a region on a GPU: extraction.ends_of_view."""
+"""Ray ends in a region on a GPU, as in extraction.ends_of_view()."""
 
 from dataclasses import replace
 
@@ -21,14 +21,14 @@ RAYS_AT_ONCE = 1 << 17
 
 
 class GpuRayEnds:
-    """ends_of_view of one field on `device`, equal up to rounding; keeps grids on the device."""
+    """ends_of_view() for one field on `device`, equal up to rounding; caches grids on the device."""
 
     def __init__(self, field: RadianceField, device: torch.device | str, rays_at_once: int = RAYS_AT_ONCE) -> None:
         self._field, self.rays_at_once = GpuField(field, torch.device(device)), rays_at_once
         self._there: list[tuple[np.ndarray, Tensor]] = []
 
     def _marked(self, grid: np.ndarray) -> Tensor:
-        # By identity: grids are not hashable, and comparing their cells would cost as much as a copy.
+        # By identity: grids are not hashable, and comparing cells would cost as much as a copy.
         for here, there in self._there:
             if here is grid:
                 return there
@@ -36,7 +36,7 @@ class GpuRayEnds:
         return self._there[-1][1]
 
     def __call__(self, camera: Camera, grids: list[np.ndarray]) -> list[np.ndarray]:
-        """Return what ends_of_view does, for each grid of marked cells [s, s, s]."""
+        """Return the same as ends_of_view(), for each grid of marked cells [s, s, s]."""
         count = camera.height * camera.width
         marked = [self._marked(grid) for grid in grids]
 
@@ -57,7 +57,7 @@ class GpuRayEnds:
 
 
 def _means_inside(marked: Tensor, cells: int, samples: GpuSamples) -> Tensor:
-    """launch.ends_inside with means in place of the sums of w t and w x; 0 where nothing is inside."""
+    """Return launch.ends_inside() with means instead of the sums of w t and w x; 0 where nothing is inside."""
     ends = launch.ends_inside(marked, cells, samples)
     ends[:, 2:] /= ends[:, 1:2].clamp(min=1e-8)
     return ends

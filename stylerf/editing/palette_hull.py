@@ -1,7 +1,7 @@
 """Palette extraction from a simplified convex hull of a scene's colors (Tan et al. 2016 and 2018).
 
 As in PaletteNeRF: frequent colors by histogram and weighted k-means, their convex hull, and edge collapses. Every color
-inside is then a mix of the corners, which initializes the weights.
+inside the hull is then a mix of its corners, which initializes the weights.
 """
 
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from stylerf.editing.palette_module import clustered_palette, weighted_means
 from stylerf.errors import InvalidValue
 
 COARSE, FINE = 3, 5  # bits per channel
-FREQUENT = 8e-3  # fraction of all colors from which a coarse bin seeds a cluster
-ERROR = 5 / 255  # root mean square error of the frequent colors that is accepted when the size is chosen automatically
+FREQUENT = 8e-3  # minimum fraction of all colors for a coarse bin to seed a cluster
+ERROR = 5 / 255  # maximum root mean square error of the frequent colors if the size is chosen automatically
 FEWEST = 4  # corners of a hull with a volume
 ROUNDS = 20
-SUM_WEIGHT = 100.0  # weight of the constraint that weights sum to 1, relative to the color's error
+SUM_WEIGHT = 100.0  # weight of the constraint that weights add up to 1, relative to the color error
 SIDE = 1 << FINE
 SLANTED = 1e-9  # determinant of three unit normals below which their planes have no common point
-FARTHEST = 1.5  # largest distance of a corner from mid-gray, per channel, before clipping
+FARTHEST = 1.5  # maximum distance of a corner from mid-gray, per channel, before clipping
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class ExtractedPalette:
 
     Attributes:
         palette: [M, 3] sRGB 0..1.
-        guide: [32, 32, 32, M] float32, weights of each color bin, which sum to 1.
-        error: Root mean square error of the mixes over frequent colors and channels.
+        guide: [32, 32, 32, M] float32, weights for each color bin, which add up to 1.
+        error: Root mean square error of the mixes over colors and channels.
     """
 
     palette: np.ndarray
@@ -46,7 +46,7 @@ class ExtractedPalette:
 
 
 def bins_of(colors: np.ndarray, bits: int) -> np.ndarray:
-    """Return the bins [n, 3] int64 of colors 0..1."""
+    """Return the bin indices [n, 3] int64 of colors 0..1."""
     return np.clip(np.floor(np.asarray(colors) * (1 << bits)), 0, (1 << bits) - 1).astype(np.int64)
 
 
@@ -67,8 +67,8 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
 
     Args:
         colors: [n, 3].
-        size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR, of colors without volume
-            one to three may do.
+        size: Number of corners, at least 4; 0 for the fewest with an error of at most ERROR (for colors without volume,
+            one to three may suffice).
     """
     if len(colors) == 0 or not np.isfinite(colors).all() or 0 < size < FEWEST or size < 0:
         raise InvalidValue(f"cannot extract a palette of {size} colors (0, or at least 4) from {len(colors)} colors")
@@ -90,8 +90,8 @@ def extracted(colors: np.ndarray, size: int, generator: np.random.Generator) -> 
 def simplified(colors: np.ndarray, size: int) -> np.ndarray:
     """Return the corners [M, 3], 0..1, of the convex hull of colors [n, 3], with edges collapsed until `size` are left.
 
-    With size 0, until another collapse would exceed ERROR or 4 are left. Where no edge can be collapsed, as in a box,
-    the corner that is missed least is left out. Raises QhullError if colors have no volume.
+    With size 0, until another collapse would exceed ERROR or 4 are left. If no edge can be collapsed, as in a box, the
+    corner whose removal costs least is removed. Raises QhullError if colors have no volume.
     """
     hull = ConvexHull(colors)
     corners = colors[hull.vertices]
@@ -106,13 +106,13 @@ def simplified(colors: np.ndarray, size: int) -> np.ndarray:
 
 
 def flat_palette(frequent: np.ndarray, colors: np.ndarray, masses: np.ndarray) -> np.ndarray:
-    """Return a palette [M, 3] for colors without volume: the ends of their longest axis, and others if necessary.
+    """Return a palette [M, 3] for colors without volume: the ends of their longest axis, plus others if necessary.
 
-    Colors that add most to the error join, one by one, until it is at most ERROR.
+    The colors that contribute most to the error are added one by one until it is at most ERROR.
 
     Args:
-        frequent: [k, 3], the ends are two of them, or one if all are the same.
-        colors: [n, 3], of which the error is computed.
+        frequent: [k, 3]; the ends are two of these, or one if all are equal.
+        colors: [n, 3], for which the error is computed.
         masses: [n], their shares.
     """
     centered = frequent - frequent.mean(0)
@@ -126,9 +126,9 @@ def flat_palette(frequent: np.ndarray, colors: np.ndarray, masses: np.ndarray) -
 
 
 def collapsed(corners: np.ndarray) -> np.ndarray | None:
-    """Collapse the edge of a convex hull with corners [m, 3] that adds the least volume; None if none can be.
+    """Collapse the edge of a convex hull with corners [m, 3] that adds the least volume; None if that is impossible.
 
-    The new point is outside all faces that meet the edge, so that the new hull contains the old (Sander et al. 2000).
+    The new point is outside all faces that touch the edge, so the new hull contains the old one (Sander et al. 2000).
     """
     hull = ConvexHull(corners)
     best: tuple[float, int, int, np.ndarray] | None = None
@@ -142,21 +142,22 @@ def collapsed(corners: np.ndarray) -> np.ndarray | None:
         if found is None:
             continue
         added = float(areas @ (normals @ found + depths)) / 3
-        # The slack keeps ties with the first edge, whatever rounding makes of them.
+        # The slack resolves ties in favor of the first edge, regardless of rounding.
         if best is None or added < best[0] - 1e-12:
             best = added, first, second, found
     if best is None:
         return None
     _, first, second, point = best
-    # Corners that the new point has put inside are dropped by the next hull.
+    # The next hull drops corners that the new point has moved inside.
     left = np.concatenate([np.delete(corners, [first, second], 0), point[None]])
     return left[ConvexHull(left).vertices]
 
 
 def cheapest_outside(normals: np.ndarray, depths: np.ndarray, cost: np.ndarray) -> np.ndarray | None:
-    """Return the point [3] that minimizes cost @ point subject to normals [k, 3] @ point + depths >= 0; None if none.
+    """Return the point [3] that minimizes cost @ point subject to normals [k, 3] @ point + depths >= 0, or None.
 
-    A linear program in three unknowns: its optimum is where three of the planes meet, so all such points are tried.
+    A linear program in three unknowns: its optimum is where three of the planes intersect, so all such points are
+    tried.
     """
     triples = np.array(list(combinations(range(len(depths)), 3)))
     systems = normals[triples]
@@ -171,23 +172,23 @@ def _area(face: np.ndarray) -> float:
 
 
 def hull_error(palette: np.ndarray, colors: np.ndarray) -> float:
-    """Return the root mean square distance of colors [n, 3] from the nearest mixes of the palette."""
+    """Return the root mean square error of the nearest palette mixes of colors [n, 3], over colors and channels."""
     return float(np.sqrt(np.square(mixing_weights(colors, palette) @ palette - colors).mean()))
 
 
 def mixing_weights(colors: np.ndarray, palette: np.ndarray) -> np.ndarray:
-    """Return the weights [n, M], >= 0 and summing to 1, of the palette's mix nearest to each of colors [n, 3].
+    """Return the weights [n, M], nonnegative and adding up to 1, of the palette mix nearest to each of colors [n, 3].
 
     Barycentric coordinates for four corners; for more, the sparse solution of the active-set method.
     """
-    # sum w = 1 as a heavy fourth equation: NNLS knows only w >= 0.
+    # sum w = 1 as a heavily weighted fourth equation: NNLS supports only w >= 0.
     rows = np.concatenate([np.asarray(palette, np.float64).T, np.full((1, len(palette)), SUM_WEIGHT)])
     found = np.stack([nnls(rows, np.append(color, SUM_WEIGHT))[0] for color in np.asarray(colors, np.float64)])
     return found / found.sum(1, keepdims=True)
 
 
 def _table(colors: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Spread weights [n, M] of colors [n, 3] over all bins, [32, 32, 32, M]; empty bins take the nearest one's."""
+    """Spread the weights [n, M] of colors [n, 3] to all bins, [32, 32, 32, M]; empty bins use the nearest bin's."""
     table = np.zeros((SIDE, SIDE, SIDE, weights.shape[1]), np.float32)
     held = np.zeros((SIDE,) * 3, bool)
     place = tuple(bins_of(colors, FINE).T)

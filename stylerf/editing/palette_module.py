@@ -2,8 +2,8 @@
 
     c = clamp(w P + o, 0, 1),  w = softmax of W(phi(x)) over the active colors,  o = tanh O(phi(x), SH(d))
 
-with x a point of the region, d the view direction, phi a hash encoding, W and O small networks. The preview of the
-released code omits the tanh; here o is the same everywhere.
+with x a point of the region, d the view direction, phi a hash encoding, W and O small MLPs. The preview in the released
+code omits the tanh; here o is always the same.
 
 P: palette [colors, 3], sRGB, not clamped to 0..1. A: number of active colors. n: points.
 """
@@ -24,7 +24,7 @@ from stylerf.fields.palette_edits import PaletteEdits
 from stylerf.geometry.spherical_harmonics import BANDS, harmonics
 
 WIDTH = 64  # of the hidden layers
-DEGREE = 2  # nine harmonics; LAENeRF counts from one and calls it degree 3
+DEGREE = 2  # nine spherical harmonics; LAENeRF counts from one and calls it degree 3
 MOST_COLORS = 32
 POINTS_AT_ONCE = 1 << 16
 MARGIN = 0.05  # of the encoded box, as a fraction of the region's size, for jitter and other views
@@ -32,7 +32,7 @@ MARGIN = 0.05  # of the encoded box, as a fraction of the region's size, for jit
 
 @dataclass(frozen=True)
 class Mixture:
-    """weights: [n, A], rows sum to 1. offsets: [n, 3] in -1..1. colors: [n, 3] in 0..1."""
+    """weights: [n, A], rows add up to 1. offsets: [n, 3] in -1..1. colors: [n, 3] in 0..1."""
 
     weights: Tensor
     offsets: Tensor
@@ -40,7 +40,7 @@ class Mixture:
 
 
 class PaletteEvaluator(ABC):
-    """A palette module, to be evaluated: PaletteModule, or GpuPaletteModule."""
+    """Evaluates a palette module: PaletteModule or GpuPaletteModule."""
 
     @property
     @abstractmethod
@@ -55,7 +55,7 @@ class PaletteEvaluator(ABC):
     def edited(
         self, found: Mixture, edits: PaletteEdits | None = None, transition: np.ndarray | None = None
     ) -> np.ndarray:
-        """Do as colors(), given a mixture on the CPU."""
+        """Return the same as colors(), given a mixture on the CPU."""
 
     def weights(self, x: np.ndarray, threads: int = 1) -> np.ndarray:
         """Return the weights [n, A] float32 at cube points [n, 3]."""
@@ -73,20 +73,20 @@ class PaletteEvaluator(ABC):
 
         Args:
             x: Cube points [n, 3].
-            directions: Unit [n, 3].
-            edits: Of palette and weights.
-            transition: lambda [n] in 0..1, which interpolates palette and weights, not colors:
+            directions: Unit vectors [n, 3].
+            edits: Changes of palette and weights.
+            transition: lambda [n] in 0..1, which interpolates palette and weights rather than colors:
                 P' = lambda P + (1 - lambda) P_edited, w' = lambda w + (1 - lambda) w_edited.
         """
         return self.edited(self.mixture(x, directions, threads), edits, transition)
 
 
 class PaletteModule(PaletteEvaluator):
-    """Palette, encoding and both networks. Edits number the active colors 0 to A - 1, in order.
+    """Palette, encoding and both networks. Edits number the active colors from 0 to A - 1, in order.
 
     Args:
         encoding: phi.
-        box: [2, 3] float32, the encoded part of the cube; points outside are clamped.
+        box: [2, 3] float32, the encoded part of the cube; points outside are clamped to it.
         active: [colors] bool.
         values: Palette, then weights and biases of W's three layers, then of O's, as one float32 array for one
             optimizer.
@@ -102,7 +102,7 @@ class PaletteModule(PaletteEvaluator):
             raise InvalidValue(f"palette: expected a box of lower and upper corner, found {box.tolist()}")
         expected = count * 3 + sum((i + 1) * o for net in self._nets(encoding.width, count) for i, o in net)
         if values.shape != (expected,) or values.dtype != np.float32 or not np.isfinite(values).all():
-            raise InvalidValue(f"palette: {len(values)} values, expected {expected} finite ones")
+            raise InvalidValue(f"palette: expected {expected} finite values, found {len(values)}")
         self.encoding, self.box, self.active, self.values = encoding, box.astype(np.float32), active, values
 
     @classmethod
@@ -114,7 +114,7 @@ class PaletteModule(PaletteEvaluator):
         parts: list[np.ndarray] = [np.asarray(palette, np.float32).ravel()]
         for net in cls._nets(encoding.width, len(palette)):
             for number, (inside, outside) in enumerate(net):
-                # He et al. 2015, for ReLU; a tenth of it for the last layers.
+                # He et al. 2015, for ReLU; a tenth of that for the last layers.
                 bound = math.sqrt(6 / inside) * (0.1 if number + 1 == len(net) else 1.0)
                 parts += [generator.uniform(-bound, bound, inside * outside), np.zeros(outside)]
         values = np.concatenate(parts).astype(np.float32)
@@ -136,13 +136,13 @@ class PaletteModule(PaletteEvaluator):
 
         Args:
             phi: Features [n, features].
-            basis: Harmonics of the directions [n, 9].
+            basis: Spherical harmonics of the directions [n, 9].
             kept: Indices of the active colors, if already on the device.
         """
         count = len(self.active)
         nets = self._nets(phi.shape[1], count)
         sizes = [size for net in nets for inside, outside in net for size in (inside * outside, outside)]
-        # Cloned because a slice may be unaligned, which can change the last bit of a product.
+        # Cloned, because a slice may be unaligned, which can change the last bit of a product.
         parts = iter([part.clone() for part in values[3 * count :].split(sizes)])
         found = []
         for net, hidden in zip(nets, (phi, torch.cat([phi, basis], 1))):
@@ -152,7 +152,7 @@ class PaletteModule(PaletteEvaluator):
             found.append(hidden)
         logits, offsets = found
         kept = torch.from_numpy(np.flatnonzero(self.active)) if kept is None else kept
-        # Over the active colors only, so that pruned ones renormalize the rest (LAENeRF, supplement 1.2).
+        # Softmax over active colors only, so that pruning renormalizes the rest (LAENeRF, supplement 1.2).
         weights = torch.softmax(logits if len(kept) == count else logits[:, kept], 1)
         offsets = torch.tanh(offsets)
         palette = self.palette_of(values)[kept]
@@ -163,7 +163,7 @@ class PaletteModule(PaletteEvaluator):
         return values[: 3 * len(self.active)].view(-1, 3)
 
     def local(self, x: np.ndarray) -> np.ndarray:
-        """Map cube points [n, 3] to the box, 0..1."""
+        """Return cube points [n, 3] relative to the box, 0..1."""
         return np.clip((x - self.box[0]) / (self.box[1] - self.box[0]), 0, 1).astype(np.float32)
 
     # -- evaluation --------------------------------------------------------------------------------------------------
@@ -178,7 +178,7 @@ class PaletteModule(PaletteEvaluator):
 
     @torch.no_grad()
     def mixture_of(self, x: np.ndarray, basis: np.ndarray, threads: int = 1) -> Mixture:
-        """Do as mixture(), given the directions' spherical harmonics [n, bands] of DEGREE."""
+        """Return the same as mixture(), given the directions' spherical harmonics [n, bands] of DEGREE."""
         values, parts = torch.from_numpy(self.values), []
         for at in range(0, len(x), POINTS_AT_ONCE):
             part = slice(at, at + POINTS_AT_ONCE)
@@ -238,7 +238,7 @@ class PaletteModule(PaletteEvaluator):
 
 
 def box_around(points: np.ndarray) -> np.ndarray:
-    """Return the bounding box [2, 3] of cube points [n, 3], with a margin; no side is under a tenth of the longest."""
+    """Return the bounding box [2, 3] of cube points [n, 3], with a margin; sides are at least 0.1 of the longest."""
     low, high = points.min(0), points.max(0)
     size = np.maximum(high - low, max(0.1 * float((high - low).max()), 1e-3))
     middle = (low + high) / 2
@@ -253,12 +253,12 @@ def random_palette(generator: np.random.Generator, count: int) -> np.ndarray:
 def clustered_palette(generator: np.random.Generator, colors: np.ndarray, count: int, rounds: int = 12) -> np.ndarray:
     """Return the centers [count, 3] of k-means over colors [n, 3], seeded by k-means++ (Arthur and Vassilvitskii 2007).
 
-    Empty clusters keep their centers. Sorted by size, the largest first.
+    Sorted by cluster size, largest first. Empty clusters keep their centers.
     """
     colors = np.asarray(colors, np.float64)
     centers = colors[generator.integers(len(colors))][None]
     while len(centers) < count:
-        apart = np.square(colors[:, None] - centers).sum(-1).min(1)  # [n]: to the nearest center
+        apart = np.square(colors[:, None] - centers).sum(-1).min(1)  # [n], squared distance to the nearest center
         total = apart.sum()
         chosen = generator.choice(len(colors), p=apart / total) if total > 0 else generator.integers(len(colors))
         centers = np.concatenate([centers, colors[chosen][None]])
@@ -272,7 +272,7 @@ def weighted_means(
     """Run k-means of colors [n, 3], weighted by masses [n], from centers [k, 3]; empty clusters keep their centers.
 
     Returns:
-        The centers, and the masses [k] that the last of them are the means of.
+        The centers [k, 3] and the masses [k] of their clusters.
     """
     for _ in range(rounds):
         nearest = np.square(colors[:, None] - centers).sum(-1).argmin(1)

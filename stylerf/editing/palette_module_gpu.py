@@ -1,4 +1,4 @@
-"""A palette module on a GPU: the hash table by our kernels, the networks by torch."""
+"""A palette module on a GPU: the hash table uses our kernels, the networks use torch."""
 
 import numpy as np
 import torch
@@ -40,18 +40,18 @@ class GpuPaletteModule(PaletteEvaluator):
     @property
     def kept(self) -> Tensor:
         """Indices of the active colors."""
-        active = self.module.active.tobytes()  # asked for in each step; changes once, at the pruning
+        active = self.module.active.tobytes()  # requested in every step, but changes only at the pruning
         if self._known[0] != active:
             self._known = active, torch.from_numpy(np.flatnonzero(self.module.active)).to(self.device)
         return self._known[1]
 
     def local(self, x: Tensor) -> Tensor:
-        """Map cube points [n, 3] to the box, 0..1."""
+        """Return cube points [n, 3] relative to the box, 0..1."""
         return ((x - self._low) / self._size).clamp(0, 1)
 
     def features(self, x: Tensor, to: Tensor) -> Tensor:
-        """Encode points of the box [n, 3] differentiably, [n, 4 levels]; backward adds dL/d(table) to `to`."""
-        # The hook makes autograd call backward although no input needs a gradient: the table is no graph leaf.
+        """Encode points of the box [n, 3] to [n, 4 levels], differentiably; backward adds dL/d(table) to `to`."""
+        # The dummy scalar makes autograd call backward although the table is not a leaf of the graph.
         phi: Tensor = _Encode.apply(torch.zeros((), requires_grad=True, device=self.device), self, x.contiguous(), to)
         return phi
 
@@ -83,7 +83,7 @@ class GpuPaletteModule(PaletteEvaluator):
 
 
 class _Encode(torch.autograd.Function):
-    """Adds the table's gradient to the optimizer's buffer, as fields/hash_encoding.py does."""
+    """Adds the table's gradient to the optimizer's buffer; see fields/hash_encoding.py."""
 
     @staticmethod
     def forward(context, hook: Tensor, palette: GpuPaletteModule, x: Tensor, to: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Selection of a region in 3D: seeds from pixels, boxes, masks and colors, and the cells that it may grow through."""
+"""Selection of a 3D region: seeds from pixels, boxes, masks and colors, and the cells through which it may grow."""
 
 import itertools
 import math
@@ -18,11 +18,11 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.kernels.cpu.regions import add_to_cells, ends_inside, weights_inside
 
-LIGHTNESS = 0.5  # factor of lightness differences: an object may be partly in shadow
-SEEN = 0.05  # summed weight from which a cell counts as seen
-INHERIT = 2.0  # cells that a color extends beyond the seen ones, into solid ones
-MOST_RAYS = 1 << 16  # of a view; cells are larger than pixels, and many views see each
-WEIGHT_THRESHOLD = 0.02  # samples of less than this fraction of their ray's largest weight are ignored
+LIGHTNESS = 0.5  # factor for lightness differences, since an object may be partly in shadow
+SEEN = 0.05  # summed weight above which a cell counts as seen
+INHERIT = 2.0  # distance, in cells, that colors extend from seen cells into others
+MOST_RAYS = 1 << 16  # per view; cells are larger than pixels, and many views see each
+WEIGHT_THRESHOLD = 0.02  # samples below this fraction of their ray's largest weight are ignored
 CLAIM_REACH = 2  # cells
 
 
@@ -49,11 +49,11 @@ class Look:
         return Look(surface, colors, stride)
 
     def add(self, values: np.ndarray, cells: int, to: np.ndarray) -> None:
-        """Add sum w (values, 1) of rays with values [rays, m] to the cells of their samples, to [cells^3, m + 1]."""
+        """Add sum w (values, 1) for rays with values [rays, m] to the cells of their samples: to [cells^3, m + 1]."""
         add_to_cells(values, cells, self.surface.samples(np.arange(self.surface.alpha.size)), to)
 
     def share_inside(self, marked: np.ndarray, threads: int) -> np.ndarray:
-        """[rays, 1]: part of each ray's opacity that lies in marked cells [s, s, s]."""
+        """Return the fraction of each ray's opacity in marked cells [s, s, s], [rays, 1]."""
         points = self.surface.samples(np.arange(self.surface.alpha.size))
         inside, flat = np.empty(len(points.starts), np.float32), np.ascontiguousarray(marked).reshape(-1)
         weights_inside(flat, marked.shape[0], points, threads, inside)
@@ -64,10 +64,10 @@ class SeenCells:
     """Visibility and mean color of the cells of a cube.
 
     Attributes:
-        weight: [s, s, s] summed weights of the samples in each cell.
-        lab: [s, s, s, 3] CIELAB of the photos' mean color, with halved lightness; unseen cells take the nearest seen
-            one's within INHERIT cells, others are NaN.
-        known: [s, s, s] cells with a color.
+        weight: [s, s, s], summed weights of the samples in each cell.
+        lab: [s, s, s, 3], CIELAB of the photos' mean color, with halved lightness; unseen cells use the nearest seen
+            cell within INHERIT cells, else NaN.
+        known: [s, s, s] bool, cells with a color.
     """
 
     def __init__(self, looks: Iterable[Look], cells: int) -> None:
@@ -80,7 +80,7 @@ class SeenCells:
         mean = sums[:, :3].reshape(*shape, 3) / np.maximum(self.weight, 1e-12)[..., None]
         lab = np.full((*shape, 3), np.nan, np.float32)
         lab[seen] = halved_lightness(mean[seen])
-        # Cells behind the visible surface are solid but have no color of their own.
+        # Cells behind the visible surface are solid but have no observed color.
         near, nearest = nearest_within(seen, INHERIT)
         lab.reshape(-1, 3)[near] = lab.reshape(-1, 3)[nearest]
         known = seen.copy()
@@ -94,7 +94,7 @@ class SeenCells:
         return out
 
     def nearer(self, these: np.ndarray, those: np.ndarray) -> np.ndarray:
-        """Mark cells whose color is nearer to one of `these` Lab colors [n, 3] than to `those`; [s, s, s] bool."""
+        """Mark cells whose color is closer to one of `these` Lab colors [n, 3] than to `those`; [s, s, s] bool."""
         out = np.zeros(self.known.shape, bool)
         out[self.known] = self._apart(these) < self._apart(those)
         return out
@@ -110,7 +110,7 @@ class SeenCells:
 
 
 def halved_lightness(srgb: np.ndarray) -> np.ndarray:
-    """Convert sRGB colors [n, 3], 0..1, to CIELAB (D65) with L times LIGHTNESS, for distances that weigh it less."""
+    """Convert sRGB colors [n, 3], 0..1, to CIELAB (D65) with L scaled by LIGHTNESS, to weight it less in distances."""
     lab = rgb2lab(np.clip(srgb, 0, 1).reshape(-1, 1, 3)).reshape(-1, 3)
     lab[:, 0] *= LIGHTNESS
     return lab.astype(np.float32)
@@ -121,14 +121,14 @@ def modes(lab: np.ndarray, apart: float) -> np.ndarray:
     found: list[np.ndarray] = []
     left = lab[np.isfinite(lab).all(1)]
     while len(left) and len(found) < 64:
-        # The middle of the seeds' order: any would do, but the choice must be repeatable.
+        # The middle one in the seeds' order: any would do, but the choice must be deterministic.
         found.append(left[len(left) // 2])
         left = left[np.linalg.norm(left - found[-1], axis=1) > apart]
     return np.array(found, np.float32).reshape(-1, 3)
 
 
 def ends_of_rays(field: RadianceField, camera: Camera, pixels: np.ndarray, threads: int) -> tuple[np.ndarray, ...]:
-    """Return where the rays of pixels end, as weighted means of their samples: x [n, 3] in the cube, and alpha [n]."""
+    """Return the rays' ends for pixels [n], as weighted means of their samples: x [n, 3] in the cube, and alpha [n]."""
     origins, directions = camera.rays(pixels)
     s = field.march(Rays.of(origins, directions, field.space.view_start(camera.center)), SAMPLES_PER_RAY, 1e-3, threads)
     out = np.empty((len(pixels), 6), np.float32)
@@ -157,9 +157,9 @@ def centers_of(cells: int) -> np.ndarray:
 def shown_by_masks(
     field: RadianceField, cameras: list[Camera], masks: list[np.ndarray], cells: int, threads: int
 ) -> np.ndarray:
-    """Mark cells that are, where views see them, more than half inside the masks; [cells, cells, cells] bool.
+    """Mark cells that are more than half inside the masks, by weight in the views; [cells, cells, cells] bool.
 
-    masks: [h, w] in 0..1, one for each camera.
+    masks: [h, w] in 0..1, one per camera.
     """
     sums = np.zeros((cells**3, 2), np.float32)
     for camera, mask in zip(cameras, masks, strict=True):
@@ -172,9 +172,9 @@ def shown_by_masks(
 def claimed(looks: Iterable[Look], marked: np.ndarray, threads: int) -> np.ndarray:
     """Extend marked cells [s, s, s] by neighbors that the views see as part of the same surface.
 
-    A soft surface extends in front of and behind the cells that growing found, where colors are mixed with what is
-    behind. A cell within CLAIM_REACH is added if the rays that see it have, by weight, more than half of their opacity
-    in marked cells.
+    A soft surface extends in front of and behind the cells found by growing, where colors mix with the background. A
+    cell within CLAIM_REACH is added if the rays that see it have, by weight, more than half of their opacity in marked
+    cells.
     """
     cells = marked.shape[0]
     sums = np.zeros((cells**3, 2), np.float32)
@@ -187,7 +187,7 @@ def claimed(looks: Iterable[Look], marked: np.ndarray, threads: int) -> np.ndarr
 def widened(marked: np.ndarray, width: int) -> np.ndarray:
     """Mark all cells within `width` cells of marked ones, including diagonals; [s, s, s] bool.
 
-    One axis after the other: SciPy's dilation looks at all 27 neighbors, which takes ten times as long.
+    Separable: SciPy's dilation visits all 27 neighbors, which takes ten times as long.
     """
     out = marked.copy()
     for axis in range(3):
@@ -201,10 +201,10 @@ def widened(marked: np.ndarray, width: int) -> np.ndarray:
 
 
 def nearest_within(marked: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nearest marked cell of each unmarked one within `reach` cells, of [s, s, s] bool.
+    """Find the nearest marked cell within `reach` cells of each unmarked one, in [s, s, s] bool.
 
-    Of several at one distance it is the one with the smallest last index, then the smallest middle and first one, as in
-    SciPy's distance transform. That one goes through all cells, however far.
+    Ties go to the cell with the smallest last index, then the smallest middle and first one, as in SciPy's distance
+    transform, which however processes all cells, no matter how far away.
 
     Returns:
         Flat indices [n] of the unmarked cells, and of the nearest marked ones.
@@ -237,15 +237,15 @@ def shell(marked: np.ndarray, width: int, among: np.ndarray) -> np.ndarray:
 
 
 def filled(marked: np.ndarray, reach: int, among: np.ndarray) -> np.ndarray:
-    """Close gaps of up to twice `reach` cells, such as highlights and print, with cells of `among`."""
+    """Close gaps of up to 2 `reach` cells, such as highlights and print, with cells of `among`."""
     if reach < 1:
         return marked
-    room = np.pad(marked, reach)  # so that the closing is not cut off at the cube's border
+    room = np.pad(marked, reach)  # so that the closing also works at the cube's border
     closed = ~widened(~widened(room, reach), reach)
     inner = (slice(reach, -reach),) * 3
     return marked | (closed[inner] & among)
 
 
 def padded(marked: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Add all cells that touch marked ones, except `others`, since a soft surface extends beyond its cells."""
+    """Add all cells that touch marked ones, except `others`: a soft surface extends beyond its cells."""
     return widened(marked, 1) & ~others

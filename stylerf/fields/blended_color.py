@@ -1,9 +1,9 @@
-"""Several fields' colors mixed in one density: stylizations of one field, by weight and by region.
+"""Blend the colors of several stylizations of one field over its shared density, by weight and by region.
 
-Layers without cells are mixed by their weights, which add up to 1; each layer with cells is then laid over those before
-it, where it counts `weight` and they count what is left. Pixels are linear in the colors of samples, so that rendered
-layers mix as their samples do. A field's color map and its clamp act on pixels (decision 0006), and so they do for each
-layer here: at constant weights, a picture of the mix is the mix of the pictures.
+Layers without cells are mixed by their weights, which add up to 1. Each layer with cells is then composited over those
+before it within its cells: it gets `weight`, they share the rest. Pixels are linear in the colors of samples, so
+blending rendered layers equals blending samples. A field's color map and its clamp act on pixels (decision 0006), and
+here they do so per layer: with constant weights, the image of a blend is the blend of the images.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,20 +21,20 @@ from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import regions as kernels
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
-MOST_LAYERS = 32  # those of blended blends included; each is evaluated for every picture
+MOST_LAYERS = 32  # including those of nested blends; each is evaluated for every image
 ROUNDING = 1e-6  # of a sum of weights
-MOST_BLENDS = 8  # nested in one another
+MOST_BLENDS = 8  # nesting depth
 EVERYWHERE = np.ones((1, 1, 1), np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What one field adds to a blend.
+    """One field's contribution to a blend.
 
     Attributes:
-        color, color_map, weight_threshold: as a RadianceField has them.
+        color, color_map, weight_threshold: as in RadianceField.
         weight: 0..1.
-        within: [s, s, s] bool, cells of the unit cube that it is limited to; None: everywhere.
+        within: [s, s, s] bool, cells of the unit cube that the layer is limited to; None: everywhere.
     """
 
     color: ColorPart
@@ -45,9 +45,9 @@ class Layer:
 
 
 class BlendedColor:
-    """A weighted mix of layers, and layers over it in regions. It does not learn: it has no values of its own.
+    """A weighted mix of layers, with further layers over it in regions. It has no learnable values.
 
-    layers: in their order; those without cells first.
+    layers: bottom to top; those without cells come first.
     """
 
     kind = "blend"
@@ -56,26 +56,26 @@ class BlendedColor:
         self.layers = tuple(layers)
         everywhere = [layer.weight for layer in layers if layer.within is None]
         if any(layer.within is not None for layer in layers[: len(everywhere)]):
-            raise InvalidValue("blend: a layer of a region lies under one of the whole scene")
+            raise InvalidValue("blend: a layer limited to a region comes before one of the whole scene")
         if not all(0 <= layer.weight <= 1 for layer in layers) or abs(sum(everywhere) - 1) > ROUNDING:
-            raise InvalidValue(f"blend: weights of 0 to 1 that add up to 1 were expected, not {everywhere}")
+            raise InvalidValue(f"blend: expected weights in 0..1 that add up to 1, found {everywhere}")
         if (count := len(self.simple)) > MOST_LAYERS:
-            raise InvalidValue(f"blend: {count} layers, and {MOST_LAYERS} are the most")
+            raise InvalidValue(f"blend: {count} layers; at most {MOST_LAYERS} are supported")
         if self.depth > MOST_BLENDS:
             raise InvalidValue(
-                f"blend: {self.depth} blends within one another, and {MOST_BLENDS} are the most; blend the fields that "
-                "the inner ones mix"
+                f"blend: {self.depth} nested blends; at most {MOST_BLENDS} are supported. Blend the fields that the "
+                "inner ones mix"
             )
         self.values = np.empty(0, np.float32)
 
     @property
     def depth(self) -> int:
-        """The number of blends that are nested, this one included."""
+        """The nesting depth of blends, including this one."""
         return 1 + max((one.color.depth for one in self.layers if isinstance(one.color, BlendedColor)), default=0)
 
     @property
     def simple(self) -> list[Layer]:
-        """The layers that are not blends, those of blended blends included."""
+        """All layers that are not blends themselves, including those of nested blends."""
         found = []
         for layer in self.layers:
             found += layer.color.simple if isinstance(layer.color, BlendedColor) else [layer]
@@ -83,7 +83,7 @@ class BlendedColor:
 
     @property
     def degree(self) -> int:
-        """The largest degree of the layers' spherical harmonics; each layer reads its own bands."""
+        """The highest spherical-harmonic degree of all layers; each layer reads its own bands."""
         return max(layer.color.degree for layer in self.layers)
 
     def shares(
@@ -92,10 +92,10 @@ class BlendedColor:
         """Yield each layer that is not a blend with its share of every point, [n] in 0..1; all shares add up to `of`.
 
         Args:
-            points: on rays; shares of others are undefined.
+            points: samples on rays; shares of all other entries are undefined.
             threads: partitions of the rays.
-            arena: where the shares' memory comes from; None: new memory.
-            of: [n], what the blend itself counts; None: 1.
+            arena: allocates the shares; None: new memory.
+            of: [n], the share of this blend itself; None: 1.
         """
         for number, layer in enumerate(self.layers):
             own = empty_array((len(points.x),), arena)
@@ -120,9 +120,9 @@ class BlendedColor:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """Return colors as ColorPart.colors does, each layer's mapped and clamped at the sample.
+        """Return colors as ColorPart.colors does, with each layer's color map and clamp applied per sample.
 
-        Pictures are composited layer by layer instead (rendering/rays.py), so that clamps act on pixels.
+        Images are composited layer by layer instead (rendering/rays.py), so that clamps act on pixels.
         """
         import torch
 
@@ -138,12 +138,12 @@ class BlendedColor:
         return out
 
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> NoReturn:
-        raise InvalidValue("the colors of a blend do not learn; train those that it mixes")
+        raise InvalidValue("a blend's colors cannot be trained; train the fields that it mixes")
 
     def add_position_gradients(
         self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int
     ) -> NoReturn:
-        raise InvalidValue("the colors of a blend do not learn; train those that it mixes")
+        raise InvalidValue("a blend's colors cannot be trained; train the fields that it mixes")
 
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Do nothing: there are no values to smooth."""
@@ -163,6 +163,6 @@ def _described(layer: Layer) -> dict:
 
 
 def _cells(within: np.ndarray | None) -> tuple[np.ndarray, int]:
-    """Return marked cells as the kernels read them: flat, and their number per side."""
+    """Return marked cells in the kernels' layout: (flat array, cells per side)."""
     marked = EVERYWHERE if within is None else within
     return np.ascontiguousarray(marked).reshape(-1), len(marked)

@@ -1,4 +1,4 @@
-"""Fields between stylizations: one of given strength, or a mix of several made from the same field."""
+"""Interpolate between a field and its stylization, or blend several stylizations of the same field."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,10 +17,10 @@ class Style:
     """A field to blend.
 
     Attributes:
-        name: for messages.
-        field: of the source's density.
+        name: used in messages.
+        field: shares the source's density.
         weight: 0..1.
-        within: [s, s, s] bool, cells of the cube that it is limited to; None: everywhere.
+        within: [s, s, s] bool, cells of the cube that the style is limited to; None: everywhere.
     """
 
     name: str
@@ -30,29 +30,29 @@ class Style:
 
 
 def blended(source: RadianceField, styles: Sequence[Style]) -> RadianceField:
-    """Mix fields made from `source`: colors at every sample, displacements at every vertex.
+    """Blend fields made from `source`: colors per sample, displacements per vertex.
 
-    Styles without cells are mixed by their weights, and what these leave of 1 is the source's; each style with cells is
-    laid over that in its region.
+    Styles without cells are mixed by their weights, and the source gets the rest up to 1. Each style with cells is then
+    composited over that in its region.
 
     Args:
-        source: the field that all were made from.
-        styles: in any order; of two regions that overlap, the later one is on top.
+        source: the field that all styles were made from.
+        styles: in any order; where two regions overlap, the later style is on top.
 
     Returns:
-        A field whose color is a BlendedColor, marched in the longest of their steps (a deforming field's can be longer
-        than its source's). It shares the arrays of the others.
+        A field whose color is a BlendedColor, marched with the largest of their steps (a deforming field's can be
+        larger than its source's). It shares their arrays.
 
     Raises:
-        InvalidValue: a style has another density, or a displacement grid of another size; the weights add up to more
-            than 1; there are too many layers.
+        InvalidValue: a style has a different density or a displacement grid of a different size, the weights add up to
+            more than 1, or there are too many layers.
     """
     for style in styles:
         if why := difference(source, style.field):
             raise InvalidValue(f"{style.name} cannot be blended: {why}")
     everywhere = [style for style in styles if style.within is None]
     if (total := sum(style.weight for style in everywhere)) > 1 + ROUNDING:
-        raise InvalidValue(f"the weights add up to {total:g}, and 1 is the most")
+        raise InvalidValue(f"the weights add up to {total:g}; they may add up to at most 1")
     rest = [Style("", source, 1 - total)] if total < 1 - ROUNDING else []
     stacked = [*rest, *everywhere, *(style for style in styles if style.within is not None)]
     displacement = _displacement(stacked)
@@ -68,17 +68,17 @@ def blended(source: RadianceField, styles: Sequence[Style]) -> RadianceField:
 
 
 def at_strength(source: RadianceField, stylized: RadianceField, strength: float) -> RadianceField:
-    """Return the field between `source` (strength 0) and `stylized` (1), which themselves are the ends.
+    """Interpolate from `source` (strength 0) to `stylized` (1); at either end that field itself is returned.
 
     Raises:
-        InvalidValue: the two have different densities.
+        InvalidValue: the fields have different densities.
     """
-    between = blended(source, [Style("the field", stylized, strength)])  # refuses other densities at the ends too
+    between = blended(source, [Style("the field", stylized, strength)])  # also checks the densities at either end
     return source if strength == 0 else stylized if strength == 1 else between
 
 
 def difference(source: RadianceField, field: RadianceField) -> str:
-    """Return why two fields do not hold the same things in the same places, empty if they do."""
+    """Return why two fields do not share the same density, or an empty string if they do."""
     if field.space != source.space or field.density.describe() != source.density.describe():
         return "its density is of another kind or size"
     if not np.array_equal(field.density.values, source.density.values):
@@ -92,16 +92,16 @@ def _layer(style: Style) -> Layer:
 
 
 def _displacement(stacked: Sequence[Style]) -> np.ndarray | None:
-    """Return the mixed displacement [m, m, m, 3], None if nothing is displaced.
+    """Return the blended displacement [m, m, m, 3], or None if no field is displaced.
 
-    A vertex counts to a region by its displaced position, as samples do.
+    A vertex belongs to a region if its displaced position does, as for samples.
     """
     grids = [style.field.displacement for style in stacked if style.field.displacement is not None]
     if not grids:
         return None
     if len({grid.shape for grid in grids}) > 1:
         sizes = " and ".join(sorted({str(len(grid)) for grid in grids}))
-        raise InvalidValue(f"displacement grids of {sizes} vertices per side cannot be mixed; deform with the same")
+        raise InvalidValue(f"displacement grids of {sizes} vertices per side cannot be blended; use one grid size")
     if len(grids) == len(stacked) and all(np.array_equal(grid, grids[0]) for grid in grids):
         return grids[0]
     at = np.linspace(0, 1, len(grids[0]), dtype=np.float32)
@@ -118,18 +118,18 @@ def _displacement(stacked: Sequence[Style]) -> np.ndarray | None:
 
 
 def _inside(within: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return [..., 1] bool: whether cube points [..., 3] lie in marked cells; outside the cube, its border counts."""
+    """Return [..., 1] bool: whether cube points [..., 3], clamped to the cube, are in marked cells."""
     cell = np.clip((x * np.float32(len(within))).astype(np.int64), 0, len(within) - 1)
     return within[cell[..., 0], cell[..., 1], cell[..., 2]][..., None]
 
 
 def _occupancy(source: RadianceField, displacement: np.ndarray | None, step: float) -> OccupancyGrid:
-    """Return the occupancy of the source's density under another displacement, for a marching step (cube units)."""
+    """Return the occupancy of the source's density under a different displacement, for a marching step (cube units)."""
     rest, own = source.occupancy, source.displacement
     same = displacement is own or (displacement is not None and own is not None and np.array_equal(displacement, own))
     if same and step == source.step:
         return rest
-    if own is not None or step != source.step:  # a displaced grid marks cells that displacement maps to something
+    if own is not None or step != source.step:  # a displaced grid marks the cells that displacement maps to matter
         rest = OccupancyGrid(rest.cells, rest.highest)
         rest.decide(step)
     return rest if displacement is None else displaced_occupancy(rest, displacement)

@@ -1,4 +1,4 @@
-"""Color heads: from features of a position and a view direction to a color. Each is pure: its numbers are arguments."""
+"""Color heads map features of a position and a view direction to a color. They hold no state: weights are arguments."""
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from stylerf.kernels.cpu import color_heads as kernels
 from stylerf.kernels.cpu.color_heads import count_marked, hide, pack_marked
 from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
-HIDDEN = 32  # units; one row of them is one SIMD vector
+HIDDEN = 32  # units; one row is one SIMD vector
 
 
 class Packed:
-    """Samples to be colored: index[i], of ray ray[i], ascending; their colors go to `out` [n, 3]."""
+    """Samples to color: index[i] on ray ray[i], ascending; their colors are written to `out` [n, 3]."""
 
     def __init__(self, marks: np.ndarray, bound: float, starts: np.ndarray, ends: np.ndarray, threads: int) -> None:
         counts, bound32 = np.empty(len(ends), np.int64), np.float32(bound)
@@ -24,25 +24,25 @@ class Packed:
 
     @classmethod
     def weighted(cls, points: ShadingPoints, threads: int) -> "Packed":
-        """Pack the points of positive weight."""
+        """Pack the points with positive weight."""
         return cls(points.weights.reshape(-1, 1), 0.0, points.starts, points.ends, threads)
 
     @classmethod
     def colored(cls, points: ShadingPoints, colors: np.ndarray, threads: int) -> "Packed":
         """Pack the points that have a color [n, 3]: not -1 in the first channel."""
-        # -0.5 lies between the mark of no color, -1, and black.
+        # -0.5 is between the marker for no color, -1, and black.
         return cls(colors, -0.5, points.starts, points.ends, threads)
 
 
 class _Head:
-    """colors(): the colors of packed samples with features phi [m, features] go into out [n, 3].
+    """colors() writes the colors of packed samples with features phi [m, features] to out [n, 3].
 
-    backward(): returns dL/d(phi) [m, features], and adds dL/d(numbers) to the threads' buffers to[:, at:]. `length`:
-    how many numbers there are; `initial` draws them.
+    backward() returns dL/d(phi) [m, features] and adds dL/d(numbers) to the per-thread buffers to[:, at:]. `numbers`
+    are the weights; `length` is their count, and initial() draws them.
     """
 
     kind: str
-    rate = 1.0  # factor of the learning rate
+    rate = 1.0  # learning-rate factor
 
     def __init__(self, features: int, degree: int) -> None:
         self.features, self.degree = features, degree
@@ -52,7 +52,7 @@ class _Head:
 
 
 class LinearHead(_Head):
-    """sigmoid(bias + sum_b Y_b(d) head_b . phi): features to spherical-harmonic coefficients.
+    """sigmoid(bias + sum_b Y_b(d) head_b . phi): a linear map from features to spherical-harmonic coefficients.
 
     numbers: head [3, bands, features], bias [3].
     """
@@ -64,8 +64,8 @@ class LinearHead(_Head):
         return 3 * BANDS[self.degree] * self.features + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Return random values around an even gray, with little dependence on the direction."""
-        # Divided by C0, the constant harmonic, which the head is multiplied by.
+        """Return random values: about mid-gray, with weak view dependence."""
+        # Divided by C0, the constant harmonic that the head is multiplied by.
         head = generator.uniform(-1, 1, (3, BANDS[self.degree], self.features)) / np.sqrt(self.features) / C0
         head[:, 1:] *= 0.1
         return np.append(head.ravel(), np.zeros(3)).astype(np.float32)
@@ -81,7 +81,7 @@ class LinearHead(_Head):
 
 
 class HarmonicHead(_Head):
-    """sigmoid(sum_b Y_b(d) phi_b): features that are spherical-harmonic coefficients, [3, bands]: ARF's voxels."""
+    """sigmoid(sum_b Y_b(d) phi_b): the features are spherical-harmonic coefficients [3, bands], as in ARF's voxels."""
 
     kind = "harmonic"
     length = 0
@@ -104,7 +104,7 @@ class HarmonicHead(_Head):
 
 
 class MlpHead(_Head):
-    """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; numbers: see kernels/cpu/color_heads.py."""
+    """sigmoid(W2 relu(W1 (phi, Y(d)) + b1) + b2), HIDDEN units; see kernels/cpu/color_heads.py for `numbers`."""
 
     kind = "mlp"
     rate = 0.25
@@ -115,7 +115,7 @@ class MlpHead(_Head):
         return (self.features + BANDS[self.degree] + 1 + 3) * HIDDEN + 3
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Return uniform initial values (He et al. 2015), those of the direction small."""
+        """Return uniform initial values (He et al. 2015), small for the direction's weights."""
         first = generator.uniform(-1, 1, (self.features, HIDDEN)) * np.sqrt(6 / self.features)
         seen = generator.uniform(-0.1, 0.1, (BANDS[self.degree], HIDDEN))
         second = generator.uniform(-1, 1, (3, HIDDEN)) * np.sqrt(6 / HIDDEN)
@@ -140,7 +140,7 @@ HEADS: dict[str, type[LinearHead] | type[HarmonicHead] | type[MlpHead]] = {
 
 
 def uncolored(points: ShadingPoints, threads: int, arena: ScratchArena | None) -> np.ndarray:
-    """Return an array [n, 3] for colors in which no point has one yet."""
+    """Return a color array [n, 3] in which no point has a color yet."""
     out = empty_array((len(points.x), 3), arena)
     hide(points.starts, points.ends, threads, out)
     return out

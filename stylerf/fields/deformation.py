@@ -1,6 +1,6 @@
-"""A deformation of space x' = x + D(x): a small network over encoded positions (DeSRF, section 3.2), baked to a grid.
+"""Space deformation x' = x + D(x): a small MLP over encoded positions (DeSRF, section 3.2), baked to a grid.
 
-The displacement grid's gradients come from those of densities and colors; only the vertices near what is seen matter.
+Gradients reach the displacement grid from densities and colors; only vertices near visible surfaces matter.
 """
 
 import math
@@ -22,8 +22,8 @@ from stylerf.kernels.cpu.ray_samples import Rays, Samples
 if TYPE_CHECKING:  # torch takes more than a second to import, and a field is rendered without its network
     from torch import Tensor
 
-# Adam moves every weight by about its rate, and a sum over 256 of them by up to 256 times that: without this factor a
-# rate of 1e-3 would move a scene by a twentieth of its size in every step.
+# Adam moves every weight by about the learning rate, so a sum over 256 weights moves by up to 256 times that. Without
+# this factor, a rate of 1e-3 would move a scene by a twentieth of its size per step.
 SCALE = 0.05
 # Largest displacement per axis, cube units. Without a bound, any rate that bends an object eventually tears it: nothing
 # in a style loss holds its parts together (decision 0015).
@@ -31,11 +31,11 @@ FARTHEST = 0.04
 
 
 class Deformation:
-    """D = MLP(gamma(p)), p = 2 x - 1 of cube positions x in 0..1; values: weights and biases, layer after layer.
+    """D = MLP(gamma(p)), p = 2 x - 1 for cube positions x in 0..1; values: weights and biases, layer by layer.
 
-    gamma(p) = (p, sin 2^l pi p, cos 2^l pi p for l < frequencies); three linear layers with ReLU between. D is in cube
-    units: half of SCALE times the network's output, since the cube is two units of p wide, through a hyperbolic tangent
-    that bounds every coordinate by `reach`.
+    gamma(p) = (p, sin 2^l pi p, cos 2^l pi p for l < frequencies), then three linear layers with ReLU in between. D is
+    in cube units: SCALE / 2 times the network's output (the cube spans two units of p), with each component bounded
+    by `reach` through a tanh.
     """
 
     def __init__(self, frequencies: int, width: int, values: np.ndarray, reach: float = FARTHEST) -> None:
@@ -45,7 +45,7 @@ class Deformation:
 
     @classmethod
     def create(cls, generator: np.random.Generator, frequencies: int = 5, width: int = 256) -> "Deformation":
-        """Create the identity: the last layer is zero."""
+        """Create the identity deformation: the last layer is zero."""
         parts = []
         for inside, outside in _layers(frequencies, width)[:-1]:
             bound = math.sqrt(6.0 / inside)  # He et al. 2015, for ReLU
@@ -57,7 +57,7 @@ class Deformation:
         return _layers(self.frequencies, self.width)
 
     def encode(self, positions: "Tensor") -> "Tensor":
-        """Return gamma(p), [n, 3 + 6 frequencies], of cube positions [n, 3]."""
+        """Return gamma(p) [n, 3 + 6 frequencies] for cube positions [n, 3]."""
         import torch
 
         p = 2 * positions - 1
@@ -66,15 +66,15 @@ class Deformation:
 
     @property
     def last(self) -> int:
-        """Number of values of the last layer: weights [3, width], then biases [3]."""
+        """Number of values in the last layer: weights [3, width], then biases [3]."""
         return 3 * (self.width + 1)
 
     def network(self, encoded: "Tensor", values: "Tensor") -> "Tensor":
-        """Return D [n, 3], cube units, of encoded positions [n, 3 + 6 frequencies], with the weights `values`."""
+        """Return D [n, 3], cube units, for encoded positions [n, 3 + 6 frequencies] and the weights `values`."""
         return self.moved(self.hidden(encoded, values), values[-self.last :])
 
     def hidden(self, encoded: "Tensor", values: "Tensor") -> "Tensor":
-        """Return the outputs of the layer before the last, [n, width]."""
+        """Return the outputs of the second-to-last layer, [n, width]."""
         out, at = encoded, 0
         for inside, outside in self._layers()[:-1]:
             end = at + (inside + 1) * outside
@@ -83,7 +83,7 @@ class Deformation:
         return out
 
     def moved(self, hidden: "Tensor", last: "Tensor") -> "Tensor":
-        """Return D [n, 3], cube units, from the outputs of the layer before the last, with its values `last`."""
+        """Return D [n, 3], cube units, from the outputs of hidden() and the last layer's values `last`."""
         import torch
 
         return self.reach * torch.tanh((0.5 * SCALE / self.reach) * _linear(hidden, last, 3))
@@ -95,7 +95,7 @@ class Deformation:
     def restore(cls, data: dict, values: np.ndarray) -> "Deformation":
         frequencies, width = validation.integer(data, "frequencies", 0, 16), validation.integer(data, "width", 1, 1024)
         validation.one_of(data, "kind", ("mlp",))
-        # Deformations written before bends had a size have none.
+        # Older files have no "reach".
         reach = validation.number(data, "reach", 1e-3, 1.0) if "reach" in data else FARTHEST
         return cls(frequencies, width, values, reach)
 
@@ -118,8 +118,8 @@ def position_gradients(
     density: DensityPart | None, color: ColorPart | None, samples: Samples, basis, sigma_gradients, colors,
     color_gradients, threads: int,
 ) -> np.ndarray:  # fmt: skip
-    """Return dL/dx' [n, 3], set only in samples.starts:ends. A part of None is fixed in space."""
-    out = np.zeros(samples.x.shape, np.float32)  # zeros_like would touch the pages of the padding between threads
+    """Return dL/dx' [n, 3], set only in samples.starts:ends. A part that is None is fixed in space."""
+    out = np.zeros(samples.x.shape, np.float32)  # zeros_like would touch the padding pages between threads
     if density is not None:
         density.add_position_gradients(samples, sigma_gradients, out, threads)
     if color is not None:
@@ -131,12 +131,12 @@ def position_gradients(
 def displacement_gradient(
     space: SpaceWarp, rays: Rays, samples: Samples, gradients: np.ndarray, vertices: int, to: np.ndarray
 ) -> None:
-    """Add dL/dD to the threads' buffers `to` [threads, 3 vertices^3], from dL/dx' [n, 3]; D: [vertices]^3 x 3."""
+    """Add dL/dD to the per-thread buffers `to` [threads, 3 vertices^3], from dL/dx' [n, 3]; D: [vertices]^3 x 3."""
     displacement_backward(space_arrays(space), rays, samples, gradients, vertices, to)
 
 
 def displaced_occupancy(occupancy: OccupancyGrid, displacement: np.ndarray) -> OccupancyGrid:
-    """Return the occupancy of x with x + D(x) in an occupied cell; displacement: [m, m, m, 3], cube units."""
+    """Return the occupancy of all x whose x + D(x) is in an occupied cell; displacement: [m, m, m, 3], cube units."""
     reach = int(np.ceil(np.abs(displacement).max() * occupancy.cells)) + 1
     occupied = np.zeros(occupancy.cells**3, np.bool_)
     displaced_cells(occupancy_arrays(occupancy), displacement_arrays(displacement), reach, occupied)
@@ -148,7 +148,7 @@ def displaced_occupancy(occupancy: OccupancyGrid, displacement: np.ndarray) -> O
 def at_rest(field: RadianceField) -> None:
     """Remove a field's deformation and recompute its occupancy from its own densities.
 
-    The occupancy of a deformed field marks the cells that displacement maps to something, not the cells that hold it.
+    The occupancy of a deformed field marks the cells that displacement maps to matter, not those that hold it.
     """
     if field.displacement is None:
         return
@@ -158,9 +158,9 @@ def at_rest(field: RadianceField) -> None:
 
 
 def seen_cells(field: RadianceField, rays: Rays, cells: int, weight_threshold: float, threads: int) -> np.ndarray:
-    """Return [cells, cells, cells] bool: the cells of an even grid over the cube in which rays see the field.
+    """Return [cells, cells, cells] bool: the cells of a regular grid over the cube in which rays see the field.
 
-    weight_threshold: part of its ray's largest weight that a sample needs to be seen.
+    weight_threshold: fraction of its ray's largest weight above which a sample counts as seen.
     """
     seen = np.zeros((cells,) * 3, np.bool_)
     for at in range(0, len(rays.origins), 8192):
@@ -172,7 +172,7 @@ def seen_cells(field: RadianceField, rays: Rays, cells: int, weight_threshold: f
 
 
 def vertices_of(seen: np.ndarray) -> np.ndarray:
-    """Return ascending flat indices of the vertices of seen cells, on a grid of one vertex more per side."""
+    """Return ascending flat indices of the vertices of seen cells, on a grid with one more vertex per side."""
     vertices = np.zeros([side + 1 for side in seen.shape], np.bool_)
     for corner in np.ndindex(2, 2, 2):
         vertices[tuple(slice(low, low + side) for low, side in zip(corner, seen.shape))] |= seen
@@ -182,7 +182,7 @@ def vertices_of(seen: np.ndarray) -> np.ndarray:
 def occupancy_of_seen(field: RadianceField, rays: Rays, threads: int) -> OccupancyGrid:
     """Return the field's occupancy without the cells that no ray sees (fern: 28 % of all cells instead of 40 %).
 
-    Kept are cells that hold a fiftieth of some ray's largest weight, and their neighbors.
+    Keeps cells with a sample of at least 2 % of its ray's largest weight, and their neighbors.
     """
     from scipy.ndimage import binary_dilation
 

@@ -1,4 +1,4 @@
-"""A color as features of positions (of any kind) followed by a head (color_heads.py), in any combination."""
+"""Color as a position encoding of any kind followed by any color head (color_heads.py)."""
 
 import numpy as np
 
@@ -22,10 +22,10 @@ FEATURES: dict[str, type[VmFeatures] | type[HashFeatures] | type[VoxelFeatures]]
 
 
 class EncodedColor:
-    """Color head(features(x), d). values: the features' table, the head's numbers.
+    """Color head(features(x), d). values: the features' table, then the head's weights.
 
-    Features of all colored samples are written to memory between the two, 4 bytes times their width per sample. That
-    costs at most a twentieth of a step, and any encoder works with any head.
+    Features of all colored samples go through memory between the two, 4 bytes times their width per sample. That costs
+    at most a twentieth of a step, and lets any encoder work with any head.
     """
 
     kind = "headed"
@@ -33,7 +33,7 @@ class EncodedColor:
     def __init__(self, features: Features, head: Head, values: np.ndarray) -> None:
         if len(values) != features.length + head.length:
             raise InvalidValue(
-                f"{features.kind} color: {len(values)} values where {features.length + head.length} were expected"
+                f"{features.kind} color: expected {features.length + head.length} values, found {len(values)}"
             )
         self.features, self.head, self.values = features, head, values
 
@@ -41,14 +41,14 @@ class EncodedColor:
     def create(
         cls, kind: str, head: str, capacity: Capacity, degree: int, generator: np.random.Generator
     ) -> "EncodedColor":
-        """Create a color; head: linear or mlp. A voxel already holds coefficients, which `linear` uses directly."""
+        """Create a color; head: linear or mlp. Voxels already hold coefficients, which `linear` uses directly."""
         features = FEATURES[kind].of(capacity, degree)
         made = HEADS["harmonic" if (kind, head) == ("voxel", "linear") else head](features.width, degree)
         return cls(features, made, np.concatenate([features.initial(generator), made.initial(generator)]))
 
     @property
     def degree(self) -> int:
-        """Of the spherical harmonics that the head reads."""
+        """Degree of the spherical harmonics that the head reads."""
         return self.head.degree
 
     @property
@@ -57,7 +57,7 @@ class EncodedColor:
 
     @property
     def numbers(self) -> np.ndarray:
-        """The head's values."""
+        """The head's weights."""
         return self.values[self.features.length :]
 
     def groups(self) -> list[tuple[int, int, float]]:
@@ -65,7 +65,7 @@ class EncodedColor:
         return [(features.fixed, features.length, features.rate), (features.length, end, self.head.rate)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "EncodedColor":
-        """Return the same color at a larger capacity."""
+        """Return the same color with a larger capacity."""
         features, table = self.features.grown(self.table, capacity)
         return EncodedColor(features, self.head, np.concatenate([table, self.numbers]))
 
@@ -84,13 +84,13 @@ class EncodedColor:
         self.features.backward(self.table, points.x, packed.index, gradients, to)
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        # The head's backward also adds the gradients of its own numbers, which nobody reads here.
+        # The head's backward also accumulates the gradients of its weights, which are not needed here.
         unused = np.zeros((threads, self.head.length), np.float32)
         packed, gradients = self._feature_gradients(points, basis, colors, color_gradients, 0, unused)
         self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
     def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, at: int, to: np.ndarray):
-        """Return (packed points, dL/d(features) of theirs); adds dL/d(head's numbers) to to[:, at:]."""
+        """Return (packed points, their dL/d(features)); adds dL/d(head's weights) to to[:, at:]."""
         packed = Packed.colored(points, colors, len(to))
         phi = self.features.encode(self.table, points.x, packed.index, len(to))
         return packed, self.head.backward(phi, self.numbers, basis, packed, colors, color_gradients, at, to)

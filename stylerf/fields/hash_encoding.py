@@ -1,4 +1,4 @@
-"""Positional encoding by a multi-resolution hash grid with its levels concatenated."""
+"""Multi-resolution hash encoding with concatenated levels."""
 
 import numpy as np
 import torch
@@ -10,10 +10,10 @@ from stylerf.kernels.cpu.simd_hash import ROW
 
 
 class HashEncoding:
-    """phi(x) [n, 4 levels]: for each level, the four floats at the vertices around x, interpolated.
+    """phi(x) [n, 4 levels]: for each level, the four floats per vertex around x, interpolated.
 
-    levels of `base` to `finest` cells a side; table: most vertices a level keeps, a power of two. values: the levels'
-    tables, one by one, float32. Eight levels make the 32 features of LAENeRF (16 levels of two).
+    The levels have `base` to `finest` cells per side; table: maximum number of vertices stored per level, a power of
+    two. values: the levels' tables, concatenated, float32. Eight levels give LAENeRF's 32 features (16 levels of two).
     """
 
     kind = "hash-encoding"
@@ -36,28 +36,28 @@ class HashEncoding:
         table: int = 1 << 16,
         spread: float = 1e-2,
     ) -> "HashEncoding":
-        """Create features uniform in -spread..spread; the 1e-4 of Mueller et al. takes hundreds of steps to grow."""
+        """Create features uniform in +-spread; from the 1e-4 of Mueller et al., growing takes hundreds of steps."""
         count = Levels(levels, base, finest, table, ROW, levels).length
         return cls(levels, base, finest, table, generator.uniform(-spread, spread, count).astype(np.float32))
 
     def forward(self, x: np.ndarray, threads: int) -> Tensor:
-        """Return phi [n, 4 levels] of cube points x [n, 3] float32 in 0..1, outside of autograd."""
+        """Return phi [n, 4 levels] for cube points x [n, 3] float32 in 0..1, without autograd."""
         x, out = np.ascontiguousarray(x, np.float32), torch.empty(len(x), self.width)
-        # In torch's own memory: the alignment can change the last bit of the matrix product that follows.
+        # In memory allocated by torch: alignment can change the last bit of the matrix product that follows.
         self.features.encode(self.values, x, np.arange(len(x)), threads, out.numpy())
         return out
 
     def backward(self, x: np.ndarray, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(values) to the threads' buffers `to` [threads, len(values)]; gradients [n, 4 levels] = dL/d(phi)."""
+        """Add dL/d(values) to the per-thread buffers `to` [threads, len(values)], from dL/d(phi) [n, 4 levels]."""
         x, gradients = (np.ascontiguousarray(array, np.float32) for array in (x, gradients))
         self.features.backward(self.values, x, np.arange(len(x)), gradients, to)
 
     def __call__(self, x: np.ndarray, to: np.ndarray) -> Tensor:
-        """Return phi for autograd; its backward adds dL/d(values) to the buffers `to` [threads, len(values)].
+        """Return phi with autograd; its backward adds dL/d(values) to the buffers `to` [threads, len(values)].
 
         Not differentiable with respect to x.
         """
-        # Autograd calls backward only if some input requires a gradient: hence a dummy scalar.
+        # Autograd calls backward only if some input requires a gradient, hence the dummy scalar.
         return _Encode.apply(torch.zeros((), requires_grad=True), self, x, to)
 
     def describe(self) -> dict:
@@ -69,8 +69,8 @@ class HashEncoding:
 
 
 class _Encode(torch.autograd.Function):
-    """Adds the table's gradient to the sparse optimizer's buffers: as a tensor all of it would be summed, copied and
-    cleared in every step, though a batch touches a hundredth of it.
+    """Adds the table's gradient directly to the sparse optimizer's buffers. A dense gradient tensor would be summed,
+    copied and cleared in every step, although a batch touches only a hundredth of it.
     """
 
     @staticmethod

@@ -1,6 +1,6 @@
-"""Multi-resolution hash grids (Mueller et al. 2022): a density, a view-independent color, features of a color head.
+"""Multi-resolution hash grids (Mueller et al. 2022): density, view-independent color, and features for a color head.
 
-A fit's grids grow: coarse levels train first, fine ones are a single vertex until activated.
+Grids grow during a fit: coarse levels train first; a fine level is a single vertex until activated.
 """
 
 from dataclasses import dataclass, replace
@@ -17,16 +17,17 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 from stylerf.kernels.cpu.simd_hash import PRIME_X, PRIME_Y, ROW
 
 MOST_LEVELS, MOST_CELLS, MOST_VERTICES = 32, 4096, 1 << 24
-DENSITY_RATE = 5.0  # factor of the learning rate (decision 0018)
+DENSITY_RATE = 5.0  # learning-rate factor (decision 0018)
 SPAN = 16  # ratio of the finest to the coarsest resolution
 
 
 @dataclass(frozen=True)
 class Levels:
-    """`count` levels of `base` to `finest` cells a side, growing geometrically, with `width` floats at a vertex.
+    """`count` levels with `base` to `finest` cells per side, growing geometrically, and `width` floats per vertex.
 
-    table: most vertices of a level, a power of two. active: number of levels, the coarsest, with more than one vertex;
-    the others are constant. A kernel is compiled for a number of levels, so that one serves all stages of growth.
+    table: maximum number of vertices per level, a power of two. active: how many of the levels, coarsest first, have
+    more than one vertex; the others are constant. Kernels are compiled per number of levels, so that one kernel serves
+    all stages of growth.
     """
 
     count: int
@@ -39,10 +40,10 @@ class Levels:
     def __post_init__(self) -> None:
         levels = 1 <= self.count <= MOST_LEVELS and 0 <= self.active <= self.count
         cells = 1 <= self.base <= self.finest <= MOST_CELLS
-        # The length is bounded because the kernels' offsets are int32.
+        # The length is bounded because kernels use int32 offsets.
         if not (levels and cells) or self.table < 8 or self.table & (self.table - 1) or self.length >= 2**31:
             raise InvalidValue(
-                f"hash grid: {self.count} levels (1..{MOST_LEVELS}), {self.active} of them active, of {self.base}.."
+                f"hash grid: {self.count} levels (1..{MOST_LEVELS}), {self.active} of them active, {self.base}.."
                 f"{self.finest} cells (1..{MOST_CELLS}), tables of {self.table} vertices (a power of two)"
             )
 
@@ -59,7 +60,7 @@ class Levels:
 
     @property
     def firsts(self) -> np.ndarray:
-        """Offset of each level's first float, and the total length: [count + 1] int64."""
+        """Offset of each level's first float, then the total length: [count + 1] int64."""
         return np.cumsum([0] + [self.vertices(level) * self.width for level in range(self.count)])
 
     @property
@@ -72,8 +73,8 @@ class Levels:
         return level < self.active and (self.cells[level] + 1) ** 3 <= self.table
 
     def layout(self) -> np.ndarray:
-        """Return [6, count] int32 as the kernels read it (kernels/cpu/simd_hash.py)."""
-        # The last number is a bit mask by which kernels select the hashed index (-1) or the direct one (0).
+        """Return the kernels' layout, [6, count] int32 (kernels/cpu/simd_hash.py)."""
+        # The last row is a bit mask that selects the hashed index (-1) or the direct one (0).
         layout = np.empty((6, self.count), np.int32)
         for level, (cells, first) in enumerate(zip(self.cells, self.firsts)):
             if level >= self.active:
@@ -85,14 +86,14 @@ class Levels:
         return layout
 
     def within(self, resolution: int) -> "Levels":
-        """Return the grid with the levels active that have at most `resolution` cells per side."""
+        """Return the grid with all levels of at most `resolution` cells per side active."""
         return replace(self, active=max(1, sum(cells <= resolution for cells in self.cells)))
 
     def regrown(self, values: np.ndarray, new: "Levels") -> np.ndarray:
-        """Lay out the same values for `new`, which has other levels active and tables as large or larger.
+        """Convert values to the layout of `new`, which has different active levels and tables at least as large.
 
-        With more levels active the function is unchanged: an entry of a larger table starts as the one that its hash
-        had in the smaller table. Deactivated levels become 0.
+        If more levels become active, the function is unchanged: an entry of a larger table is initialized from the one
+        that its hash selected in the smaller table. Deactivated levels become 0.
         """
         if replace(new, active=self.active, table=self.table) != self:
             raise InvalidValue(f"{self} cannot grow to {new}")
@@ -106,12 +107,12 @@ class Levels:
         return out
 
     def _entries(self, level: int, new: "Levels") -> np.ndarray:
-        """Return, for each entry of a level in `new`, its old entry."""
+        """Return, for each entry of a level in `new`, the index of its old entry."""
         entries = np.arange(new.vertices(level))
         if level >= self.active:
             return np.zeros_like(entries)
         if self.is_direct(level) or not new.is_direct(level):
-            # Sizes are powers of two: a hash in the smaller table is the low bits of that in the larger.
+            # Sizes are powers of two: a hash in the smaller table is the low bits of that in the larger one.
             return entries % self.vertices(level)
         i, j, k = np.unravel_index(entries, (self.cells[level] + 1,) * 3)
         return ((i * np.int64(PRIME_X)) ^ (j * np.int64(PRIME_Y)) ^ k) & (self.table - 1)
@@ -126,14 +127,14 @@ class Levels:
 
 
 def grid_of(data: dict) -> tuple[int, int, int, int]:
-    """Return levels, base, finest and table from the JSON form of a hash grid, each checked against its bounds."""
+    """Return levels, base, finest and table from the JSON form of a hash grid, each validated against its bounds."""
     levels, base = validation.integer(data, "levels", 1, MOST_LEVELS), validation.integer(data, "base", 1, MOST_CELLS)
     finest = validation.integer(data, "finest", 1, MOST_CELLS)
     return levels, base, finest, validation.integer(data, "table", 8, MOST_VERTICES)
 
 
 def levels_of(capacity: Capacity, width: int) -> Levels:
-    """Return the levels of a capacity, with `width` floats per vertex."""
+    """Return the levels for a capacity, with `width` floats per vertex."""
     base = max(2, capacity.finest // SPAN)
     whole = Levels(capacity.levels, base, capacity.finest, capacity.table, width, capacity.levels)
     return whole.within(capacity.resolution)
@@ -142,9 +143,9 @@ def levels_of(capacity: Capacity, width: int) -> Levels:
 def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.ndarray) -> None:
     """Add the gradient of a hash grid's total variation to buffer `to` [len(table) or more].
 
-    For directly indexed levels: strength/2 times the mean squared difference of neighbors. In hashed levels neighboring
-    entries may belong to distant places; their values decay to zero instead, which leaves the scene to the coarser,
-    smooth levels. Means are over all floats of the grid.
+    Directly indexed levels: strength/2 times the mean squared difference of neighbors. In hashed levels, neighboring
+    entries may belong to distant positions, so their values decay to zero instead, which leaves the scene to the
+    coarser, smooth levels. Means are over all floats of the grid.
     """
     scale = np.float32(strength / levels.length)
     for level in range(levels.active):
@@ -156,7 +157,7 @@ def add_smoothness(levels: Levels, table: np.ndarray, strength: float, to: np.nd
 
 
 class HashDensity(TableDensity):
-    """Raw density exp(shift + sum of all levels' interpolated values). values: levels' tables, shift."""
+    """Raw density exp(shift + sum of all levels' interpolated values). values: the levels' tables, then shift."""
 
     kind, kernels = "hash", kernels
 
@@ -166,7 +167,7 @@ class HashDensity(TableDensity):
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "HashDensity":
-        """Create a thin fog, as VmDensity.create does."""
+        """Create a thin fog; see VmDensity.create."""
         levels = levels_of(capacity, 1)
         values = generator.uniform(-1e-2, 1e-2, levels.length).astype(np.float32)
         return cls(levels, np.append(values, np.float32(shift)))
@@ -194,8 +195,8 @@ class HashFeatures(TableFeatures):
     """The concatenated levels of a hash grid, four floats each (Mueller et al. 2022, section 3)."""
 
     kind, kernels = "hash", kernels
-    fixed = 0  # floats, the table's first, that never learn
-    rate = 6.0  # factor of the learning rate (docs/decisions/0018)
+    fixed = 0  # number of floats at the start of the table that never learn
+    rate = 6.0  # learning-rate factor (decision 0018)
 
     def __init__(self, levels: Levels) -> None:
         super().__init__(ROW * levels.count, levels.length, levels.layout(), (np.int8(0),) * levels.count)
@@ -203,11 +204,11 @@ class HashFeatures(TableFeatures):
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "HashFeatures":
-        """Create features of a capacity; the degree of the color's harmonics does not change them."""
+        """Create features for a capacity; independent of the color's spherical-harmonic degree."""
         return cls(levels_of(capacity, ROW))
 
     def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["HashFeatures", np.ndarray]:
-        """Return the same features at a larger capacity, and their table."""
+        """Return the same features with a larger capacity, and their table."""
         new = HashFeatures(levels_of(capacity, ROW))
         return new, self.levels.regrown(table, new.levels)
 
@@ -222,20 +223,20 @@ class HashFeatures(TableFeatures):
         return cls(Levels.restore(data, ROW))
 
 
-DETAIL = 5.0  # width in cells of the finest level, see HashColor.detail_rate
+DETAIL = 5.0  # cell width in cells of the finest level; see HashColor.detail_rate
 
 
 class HashColor:
-    """Color sigmoid(f[0:3] + f[3]), f the sum of all levels' interpolated values. values: the levels' tables.
+    """Color sigmoid(f[0:3] + f[3]), f: the sum of all levels' interpolated values. values: the levels' tables.
 
-    It does not depend on the view and has fine local detail. levels of `base` to `finest` cells per side; table: most
-    vertices of a level, a power of two.
+    View-independent, with fine local detail. The levels have `base` to `finest` cells per side; table: maximum number
+    of vertices per level, a power of two. The widths below are in cells of the finest level.
 
     Attributes:
-        detail_rate: learning rate of cells DETAIL times as narrow as those that learn in full, relative to these.
-        detail: width, in cells of the finest level, from which cells learn in full.
-        broad: width, in cells of the finest level, beyond which cells learn the more slowly, the wider they are.
-        narrow: width, in cells of the finest level, below which cells do not learn; the coarsest always do.
+        detail_rate: relative learning rate of cells of width detail / DETAIL.
+        detail: width at and above which cells learn at the full rate.
+        broad: width beyond which the learning rate falls with the width.
+        narrow: width below which cells do not learn; the coarsest level always does.
     """
 
     kind = "hash"
@@ -244,7 +245,7 @@ class HashColor:
     def __init__(self, levels: int, base: int, finest: int, table: int, values: np.ndarray) -> None:
         self.grid = Levels(int(levels), int(base), int(finest), int(table), ROW, int(levels))
         if len(values) != self.grid.length:
-            raise InvalidValue(f"hash color: {len(values)} values where {self.grid.length} were expected")
+            raise InvalidValue(f"hash color: expected {self.grid.length} values, found {len(values)}")
         self.levels, self.base, self.finest, self.table = self.grid.count, int(base), int(finest), int(table)
         self.values, self.layout = values, self.grid.layout()
         self.detail_rate, self.detail, self.broad, self.narrow = 1.0, DETAIL, np.inf, 0.0
@@ -254,7 +255,7 @@ class HashColor:
     def create(
         cls, generator: np.random.Generator, levels: int = 8, base: int = 16, finest: int = 512, table: int = 1 << 17
     ) -> "HashColor":
-        """Create an even gray with a hundredth of noise."""
+        """Create uniform gray with noise of 1e-2 in the values."""
         count = Levels(levels, base, finest, table, ROW, levels).length
         return cls(levels, base, finest, table, generator.uniform(-1e-2, 1e-2, count).astype(np.float32))
 
@@ -283,7 +284,7 @@ class HashColor:
     def smooth(self, strength: float, to: np.ndarray) -> None:
         """Add the gradient of strength/2 times the mean squared value to buffer `to` [len(values)].
 
-        Neighboring vertices of a hashed level share entries with arbitrary places, so that their differences mean
+        Neighboring vertices of a hashed level share entries with arbitrary positions, so their differences mean
         little. Decay to zero leaves the color to as few levels as suffice.
         """
         to += np.float32(strength / len(self.values)) * self.values

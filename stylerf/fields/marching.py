@@ -1,7 +1,7 @@
-"""What a march of rays takes beside rays and density, as the CPU kernels read it, and the memory of its samples.
+"""Inputs of CPU ray marching other than rays and density, and scratch memory for samples.
 
-A batch of rays reserves many times the memory that its samples fill. Fresh from the operating system, every page that
-is written would first be mapped and cleared; a scratch arena hands out the pages that the last batch has written.
+A batch of rays reserves many times the memory that its samples fill. In freshly allocated memory, the operating system
+maps and clears every page on first write; a scratch arena reuses the pages that the last batch has already touched.
 """
 
 import math
@@ -18,9 +18,9 @@ NO_DISPLACEMENT = Displacement(np.empty(0, np.float32), 0)
 
 
 class ScratchArena:
-    """Hands out arrays of undefined content, the same memory again after each reset().
+    """Allocates uninitialized arrays, reusing the same memory after each reset().
 
-    Nothing taken from an arena may be used after its reset(). An arena serves one thread.
+    Arrays from an arena must not be used after its reset(). An arena serves a single thread.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class ScratchArena:
         self._used = 0
 
     def reset(self) -> "ScratchArena":
-        """Take back all arrays; returns the arena itself."""
+        """Invalidate all arrays; returns the arena itself."""
         self._used = 0
         return self
 
@@ -39,7 +39,7 @@ class ScratchArena:
         if self._used == len(self._blocks):
             self._blocks.append(np.empty(0, np.uint8))
         if len(self._blocks[self._used]) < length:
-            # Batches grow little by little: with a quarter to spare, few of them need a new block.
+            # Batches grow gradually: with 25 % headroom, few of them need a new block.
             self._blocks[self._used] = np.empty(length + length // 4, np.uint8)
         block = self._blocks[self._used]
         self._used += 1
@@ -47,13 +47,13 @@ class ScratchArena:
 
 
 def empty_array(shape: tuple[int, ...], arena: ScratchArena | None) -> np.ndarray:
-    """Return a float32 array of undefined content, from the arena if there is one."""
+    """Return an uninitialized float32 array, from the arena if there is one."""
     return np.empty(shape, np.float32) if arena is None else arena.empty(shape)
 
 
 @dataclass(frozen=True)
 class MarchInputs:
-    """What a march reads beside the rays and the density; see kernels/cpu/ray_samples.py."""
+    """Inputs of ray marching other than rays and density; see kernels/cpu/ray_samples.py."""
 
     space: Space
     occupancy: Occupancy
@@ -72,5 +72,5 @@ def occupancy_arrays(occupancy: OccupancyGrid) -> Occupancy:
 
 
 def displacement_arrays(displacement: np.ndarray | None) -> Displacement:
-    """Return a displacement grid [m, m, m, 3], or none, as the kernels take it."""
+    """Return a displacement grid [m, m, m, 3], or None, in the kernels' form."""
     return NO_DISPLACEMENT if displacement is None else Displacement(displacement.reshape(-1), len(displacement))

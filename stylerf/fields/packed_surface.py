@@ -1,7 +1,7 @@
-"""The visible surface of a fixed density: the few samples that make up each pixel, packed, for learning colors alone.
+"""The visible surface of a fixed density: the few samples behind each pixel, packed, for training colors only.
 
-While the density is fixed, rays end where they ended before: a stylization that visits a view thirty times marches it
-once (decision 0005). Positions take 16 bits per axis, 1/128 of the finest cell of a 512^3 color grid.
+With a fixed density, ray samples never change: a stylization that visits a view thirty times marches it once
+(decision 0005). Positions take 16 bits per axis, 1/128 of the finest cell of a 512^3 color grid.
 """
 
 from collections.abc import Iterable
@@ -24,9 +24,9 @@ class PackedSurface:
     """The samples of one view.
 
     Attributes:
-        offsets: [pixels + 1] int64, each pixel's first sample.
+        offsets: [pixels + 1] int64, index of each pixel's first sample.
         x: [n, 3] uint16, position in the unit cube times 65535.
-        weights: [n] float32, scaled to sum to each pixel's alpha.
+        weights: [n] float32, scaled to add up to each pixel's alpha.
         alpha: [h, w], 0..1.
     """
 
@@ -37,11 +37,11 @@ class PackedSurface:
 
     @property
     def bytes(self) -> int:
-        """Bytes of memory."""
+        """Memory size in bytes."""
         return self.offsets.nbytes + self.x.nbytes + self.weights.nbytes
 
     def samples(self, pixels: np.ndarray) -> ShadingPoints:
-        """Return the samples of chosen pixels (row-major indices, [rays])."""
+        """Return the samples of the given pixels (row-major indices, [rays])."""
         counts = self.offsets[pixels + 1] - self.offsets[pixels]
         ends = np.cumsum(counts)
         starts = ends - counts
@@ -52,14 +52,15 @@ class PackedSurface:
 
 
 def cells_of(surface: PackedSurface) -> float:
-    """Return the resolution of a grid over the cube whose cells are one pixel of the view wide; nan if nothing is seen.
+    """Return the resolution of a grid over the cube whose cells are as wide as the view's pixels; nan if it is empty.
 
-    Per pixel, the distance to the nearer of its right and lower neighbors' surface points (slanted surfaces count by
-    their finer side); the median over nearly opaque pixels. Points are means weighted as the colors are.
+    The pixel width is the median, over nearly opaque pixels, of the distance to the nearer of the right and lower
+    neighbors' surface points (slanted surfaces count by their finer side). A surface point is the weighted mean of the
+    pixel's samples.
     """
     height, width = surface.alpha.shape
     starts, ends, x, weights = surface.samples(np.arange(height * width))
-    # Differences of running sums over the whole view: float32 would cancel.
+    # float64, because differences of cumulative sums over the whole view would cancel in float32.
     sums = np.zeros((len(x) + 1, 3))
     np.cumsum(x * weights[:, None], axis=0, dtype=np.float64, out=sums[1:])
     alpha = surface.alpha[..., None]
@@ -72,7 +73,7 @@ def cells_of(surface: PackedSurface) -> float:
 
 
 def pixel_cells(surfaces: Iterable[PackedSurface]) -> float:
-    """Return the median of cells_of over views; nan if none of them sees anything."""
+    """Return the median of cells_of() over views; nan if all of them are empty."""
     found = np.array([cells_of(surface) for surface in surfaces])
     return float(np.median(found[np.isfinite(found)])) if np.isfinite(found).any() else float("nan")
 
@@ -88,8 +89,8 @@ def surface_of(
     """March one view and keep its visible samples.
 
     Args:
-        weight_threshold: part of its ray's largest weight that a sample needs to be kept.
-        stride: march only each stride-th pixel of each stride-th row; the surface is that of so much smaller a view.
+        weight_threshold: fraction of its ray's largest weight that a sample needs to be kept.
+        stride: march only every stride-th pixel along both axes; the surface is that of the smaller view.
     """
     pixels = np.arange(camera.height * camera.width).reshape(camera.height, camera.width)[::stride, ::stride]
     origins, directions = camera.rays(pixels.ravel())

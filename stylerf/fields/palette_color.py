@@ -1,9 +1,9 @@
-"""A palette for the whole scene, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited at once.
+"""A global palette, mixed at every point (PaletteNeRF, Kuang et al. 2023), that can be edited without training.
 
-Its heads (section 4). With phi the features of a place and Y the harmonics of a direction:
+The heads (section 4), with phi the features of a point and Y the spherical harmonics of a direction:
 
-    diffuse   f = sigmoid(A phi + b)                      independent of the view
-    specular  s = tanh(S2 relu(S1 (phi, Y)))              dependent on the view
+    diffuse   f = sigmoid(A phi + b)                      view-independent
+    specular  s = tanh(S2 relu(S1 (phi, Y)))              view-dependent
     palette   h = F2 relu(F1 (phi, f)),  15 numbers;  O h = z [M], delta [M, 3], I
               w_i = (softplus(z_i) + 0.05) / sum
 
@@ -34,16 +34,16 @@ if TYPE_CHECKING:  # torch takes more than a second to import, and fields withou
 
 POINTS_AT_ONCE = 1 << 16
 MOST_BASES = 16
-MOST_EDITS = 100  # each is evaluated at every point
+MOST_EDITS = 100  # every edit is evaluated at every point
 DEGREE = 2
 VIEW_UNITS, UNITS, CODE = 32, 64, 15  # PaletteNeRF: 64 and 15
 MIN_WEIGHT = 0.05  # before normalization
-EVEN = math.log(math.e - 1)  # its softplus is 1
+EVEN = math.log(math.e - 1)  # softplus(EVEN) = 1
 
 
 @dataclass(frozen=True)
 class Parts:
-    """diffuse, specular [n, 3]; weights [n, M], each row adds up to 1; offsets [n, M, 3]; intensity [n, 1] > 0."""
+    """diffuse, specular: [n, 3]. weights: [n, M], rows add up to 1. offsets: [n, M, 3]. intensity: [n, 1], positive."""
 
     diffuse: "Tensor"
     specular: "Tensor"
@@ -57,7 +57,7 @@ class Parts:
 
 
 class PaletteHead:
-    """numbers: weights [outputs, inputs] and biases of each layer, A, S1, S2, F1, F2, O."""
+    """The heads' layers. numbers: weights [outputs, inputs] and biases of A, S1, S2, F1, F2, O, in this order."""
 
     def __init__(self, features: int, bases: int) -> None:
         self.features, self.bases = features, bases
@@ -85,9 +85,9 @@ class PaletteHead:
         return np.concatenate(parts).astype(np.float32)
 
     def parts(self, numbers: "Tensor", phi: "Tensor", basis: "Tensor", apart: bool = False) -> Parts:
-        """Return the parts at points with features phi [n, features], seen from directions with harmonics [n, 9].
+        """Return the parts at points with features phi [n, features] and spherical harmonics `basis` [n, 9].
 
-        apart: no gradient flows from the palette branch to the diffuse color that it reads.
+        apart: stop gradients from the palette branch to the diffuse color that it reads.
         """
         import torch
         from torch.nn.functional import linear, softplus
@@ -110,10 +110,10 @@ class PaletteHead:
 
 
 class PaletteColor:
-    """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1) after `edits`.
+    """Color clamp(sum_i w_i I (P_i + delta_i) + s, 0, 1), after `edits`.
 
-    values: the features' table, the palette [bases, 3], the head's numbers. edits: in their order; part of describe();
-    they do not learn.
+    values: the features' table, the palette [bases, 3], then the head's weights. edits: applied in order, stored by
+    describe(), not learnable.
     """
 
     kind = "palette"
@@ -123,15 +123,15 @@ class PaletteColor:
         self, features: HashFeatures, bases: int, values: np.ndarray, edits: Sequence[Recoloring] = ()
     ) -> None:
         if not 1 <= bases <= MOST_BASES:
-            raise InvalidValue(f"palette color: 1 to {MOST_BASES} bases were expected, not {bases}")
+            raise InvalidValue(f"palette color: expected 1 to {MOST_BASES} bases, found {bases}")
         self.features, self.head = features, PaletteHead(features.width, bases)
         expected = features.length + 3 * bases + self.head.length
         if values.shape != (expected,) or values.dtype != np.float32:
-            raise InvalidValue(f"palette color: {values.shape} values where {expected} float32 ones were expected")
+            raise InvalidValue(f"palette color: expected {expected} float32 values, found {values.shape}")
         if len(edits) > MOST_EDITS:
             raise InvalidValue(
-                f"palette color: {len(edits)} edits upon one another, and {MOST_EDITS} are the most; "
-                "make the changes of several at once, on the field before them"
+                f"palette color: {len(edits)} successive edits; at most {MOST_EDITS} are supported. Combine several "
+                "changes into one edit of the field before them"
             )
         self.bases, self.values, self.edits = bases, values, tuple(edits)
         for edit in self.edits:
@@ -141,14 +141,14 @@ class PaletteColor:
     def create(
         cls, generator: np.random.Generator, palette: np.ndarray, levels: int, finest: int, table: int, base: int = 16
     ) -> "PaletteColor":
-        """Create a color from an initial palette [bases, 3], sRGB. table: most vertices of a level, a power of two."""
+        """Create a color from an initial palette [bases, 3], sRGB. table: most vertices per level, a power of two."""
         features = HashFeatures(Levels(levels, min(base, finest), finest, table, ROW, levels))
         head = PaletteHead(features.width, len(palette))
         parts = [features.initial(generator), np.asarray(palette, np.float32).ravel(), head.initial(generator)]
         return cls(features, len(palette), np.concatenate(parts))
 
     def edited(self, edit: Recoloring) -> "PaletteColor":
-        """Return the color with one more edit; `values` are shared. InvalidValue if it has MOST_EDITS already."""
+        """Return the color with one more edit, sharing `values`. Raises InvalidValue if it already has MOST_EDITS."""
         return PaletteColor(self.features, self.bases, self.values, (*self.edits, edit))
 
     @property
@@ -167,12 +167,12 @@ class PaletteColor:
 
     @property
     def palette(self) -> np.ndarray:
-        """[bases, 3] as learned, sRGB; not limited to 0..1."""
+        """The learned palette [bases, 3], sRGB, not limited to 0..1."""
         return self.rest[: 3 * self.bases].reshape(-1, 3)
 
     @property
     def present_palette(self) -> np.ndarray:
-        """[bases, 3] after the edits' color changes."""
+        """The palette [bases, 3] after the edits' color changes."""
         palette = self.palette
         for edit in self.edits:
             palette = edit.changes.palette(palette)
@@ -184,12 +184,12 @@ class PaletteColor:
         return [(0, begin, 3.0), (begin, end, 0.1), (end, len(self.values), 0.5)]
 
     def parts(self, rest: "Tensor", phi: "Tensor", basis: "Tensor", apart: bool = False) -> "tuple[Parts, Tensor]":
-        """(Parts, palette [bases, 3]) from palette and head as one tensor; see PaletteHead.parts."""
+        """Return (Parts, palette [bases, 3]); `rest` is palette and head as one tensor. See PaletteHead.parts."""
         palette, numbers = rest[: 3 * self.bases], rest[3 * self.bases :]
         return self.head.parts(numbers, phi, basis, apart), palette.clone().view(-1, 3)
 
     def _shown(self, parts: Parts, palette: "Tensor", x: np.ndarray) -> "Tensor":
-        """[n, 3] in 0..1."""
+        """Return the edited colors [n, 3] in 0..1."""
         if not self.edits:
             return (parts.mixed(palette) + parts.specular).clamp(0, 1)
         mixture = parts.weights, parts.offsets, parts.intensity, parts.specular
@@ -208,11 +208,12 @@ class PaletteColor:
         seen: Callable[[np.ndarray, np.ndarray, Callable[[], np.ndarray]], None],
         arena: ScratchArena | None = None,
     ) -> np.ndarray:
-        """Do as colors(), and show what they were mixed of.
+        """Return the same as colors(), and pass the mixture behind each color to a callback.
 
         Args:
-            seen: called with points that got a color, the ray of each, and a function that returns their mixtures
-                [n, mixture_width] before `edits`, whose means remixed() takes: w_i, w_i I (P_i + delta_i), s, x.
+            seen: called with the indices of colored points, the ray of each, and a function that returns their
+                mixtures before `edits`, [n, mixture_width]: w_i, w_i I (P_i + delta_i), s, x. remixed() takes their
+                means.
         """
         import torch
 
@@ -229,17 +230,18 @@ class PaletteColor:
 
     @property
     def mixture_width(self) -> int:
-        """Numbers of a mixture."""
+        """Number of values in a mixture."""
         return 4 * self.bases + 6
 
     def mixes_as(self, other: object) -> bool:
-        """Whether another color has the same mixtures, whatever its edits."""
+        """Whether another color has the same mixtures, regardless of its edits."""
         return isinstance(other, PaletteColor) and other.values is self.values
 
     def remixed(self, mixtures: np.ndarray) -> np.ndarray:
         """Return the colors [n, 3] of mean mixtures [n, mixture_width] after the edits.
 
-        Exact for a single point; of several the mean is edited instead of each, which bends hues where they differ.
+        Exact for a single point. For several, the mean is edited instead of each point, which shifts hues where they
+        differ.
         """
         import torch
 
@@ -253,15 +255,15 @@ class PaletteColor:
     def backward(self, points: ShadingPoints, basis, colors, color_gradients, to: np.ndarray) -> None:
         packed, gradients, own = self._feature_gradients(points, basis, colors, color_gradients, len(to))
         self.features.backward(self.table, points.x, packed.index, gradients, to)
-        to[0, self.features.length :] += own  # summed by torch already: one thread's buffer takes it
+        to[0, self.features.length :] += own  # already summed by torch, so one buffer suffices
 
     def add_position_gradients(self, points: ShadingPoints, basis, colors, color_gradients, out, threads: int) -> None:
-        """Add dL/dx to out [n, 3]; the slope of the edits' filters is left out."""
+        """Add dL/dx to out [n, 3]; the edits' filters are treated as constant."""
         packed, gradients, _ = self._feature_gradients(points, basis, colors, color_gradients, threads)
         self.features.add_position_gradients(self.table, points.x, packed.index, gradients, out, threads)
 
     def _feature_gradients(self, points: ShadingPoints, basis, colors, color_gradients, threads: int):
-        """Return (packed points, dL/d(features) of theirs, dL/d(palette and head))."""
+        """Return (packed points, their dL/d(features), dL/d(palette and head))."""
         import torch
 
         packed, x = Packed.colored(points, colors, threads), points.x
@@ -294,7 +296,7 @@ class PaletteColor:
 
 
 def _through_region(own: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Return d(shown) / d(own) [n, 3]: under a region's color sigmoid(logit(own) + f) is shown, elsewhere `own`."""
+    """Return d(shown) / d(own) [n, 3], where shown is sigmoid(logit(own) + f) inside a region's color, else `own`."""
     slope = shown * (1 - shown) / np.maximum(own * (1 - own), MIN_ODDS)
     return np.where(shown == own, np.float32(1), slope)
 

@@ -1,9 +1,9 @@
-"""What a user changes of a learned palette; nothing is trained again.
+"""User edits of a learned palette, applied without retraining.
 
-PaletteEdits change colors and weights by their index (LAENeRF, 3.5 and eq. 4 of its supplement). A Recoloring applies
-them to a decomposed field, everywhere or around a place (PaletteNeRF, Kuang et al. 2023): a basis color is
-I (P_i + delta_i), of every place its own. Another palette color turns its hue and scales its saturation and value as it
-turns and scales P_i: shading and texture stay.
+PaletteEdits change colors and weights by index (LAENeRF, section 3.5 and eq. 4 of its supplement). A Recoloring applies
+them to a decomposed field, everywhere or around given points (PaletteNeRF, Kuang et al. 2023). A basis color
+I (P_i + delta_i) varies in space; when a palette color P_i changes, the basis color's hue is rotated and its saturation
+and value are scaled by the same amounts, which preserves shading and texture.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,17 +20,17 @@ from stylerf.srgb import LUMA
 if TYPE_CHECKING:  # torch takes more than a second to import, and fields without a palette are rendered without it
     from torch import Tensor
 
-GRAYISH = 0.1  # saturation under which a palette color has no hue to turn and no saturation to scale
-MOST_CENTERS = 256  # of a filter; the distance to each is computed for every point
-DARKEST = 1 / 32  # value that a darker palette color counts as, where values are scaled
+GRAYISH = 0.1  # saturation below which a palette color counts as gray: no hue to rotate, no saturation to scale
+MOST_CENTERS = 256  # per filter; every point's distance to each is computed
+DARKEST = 1 / 32  # lower bound of a palette color's value when values are scaled
 
 
 @dataclass(frozen=True)
 class PaletteEdits:
-    """Changes of palette colors, by their index.
+    """Changes of palette colors, by index.
 
-    colors: new sRGB. scales, biases: w~ = max(s w + b, 0), divided by the row's sum (the supplement prints min, the
-    code takes max); a row of zeros falls back to w.
+    colors: new colors, sRGB. scales, biases: w~ = max(s w + b, 0), divided by the row's sum (the supplement prints min,
+    its code uses max); a row of zeros falls back to w.
     """
 
     colors: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
@@ -50,14 +50,14 @@ class PaletteEdits:
         return bool(self.colors or self.scales or self.biases)
 
     def check(self, count: int) -> None:
-        """Raises InvalidValue, naming the colors that exist, where one of another index is changed."""
+        """Raise InvalidValue, listing the existing colors, if a changed index is not below `count`."""
         missing = sorted({i for named in (self.colors, self.scales, self.biases) for i in named} - set(range(count)))
         if missing:
             exist = f"0 to {count - 1}" if count > 1 else "0 alone"
             raise InvalidValue(f"palette color {missing[0]} does not exist; there are {exist}")
 
     def palette(self, palette: np.ndarray) -> np.ndarray:
-        """[A, 3] with the changed colors in place."""
+        """Return the palette [A, 3] with the changed colors replaced."""
         self.check(len(palette))
         out = palette.copy()
         for index, color in self.colors.items():
@@ -65,7 +65,7 @@ class PaletteEdits:
         return out
 
     def weights(self, weights: np.ndarray) -> np.ndarray:
-        """w~ [n, A] of weights [n, A]."""
+        """Return the changed weights w~ [n, A] of weights [n, A]."""
         count = weights.shape[1]
         self.check(count)
         if not self.scales and not self.biases:
@@ -97,17 +97,17 @@ class PaletteEdits:
 
 
 def _index(text: str) -> int:
-    """A color's number, as JSON has it for a key."""
+    """Parse a color's index from a JSON key."""
     if not (text.isascii() and text.isdecimal() and len(text) <= 4):
         raise InvalidValue(f"palette color {text[:20]!r} is not a number")
     return int(text)
 
 
 def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, float]) -> np.ndarray:
-    """[A, 3]: `target` in the palette's own lights and darks: each color is target times luma / mean luma, in 0..1.
+    """Return `target` at each palette color's relative brightness: target * luma / mean luma, clamped to 0..1, [A, 3].
 
-    shares: of the colors in the region, which weigh the mean. All in sRGB; an encoded ratio is a power of that of
-    light, so that shading keeps its contrast.
+    shares: the colors' shares of the region, which weight the mean. Everything is in sRGB, where ratios are a power of
+    the linear ratios, so shading keeps its contrast.
     """
     lumas = palette @ np.asarray(LUMA, palette.dtype)
     mean = float((lumas * shares).sum() / max(float(np.sum(shares)), 1e-9))
@@ -116,7 +116,7 @@ def tinted(palette: np.ndarray, shares: np.ndarray, target: tuple[float, float, 
 
 @dataclass(frozen=True)
 class SpaceFilter:
-    """exp(-|p - c|^2 / reach^2) of places p, in scene units; of several centers c the nearest counts."""
+    """exp(-|p - c|^2 / reach^2) at points p, in scene units; c: the nearest of the centers."""
 
     space: SpaceWarp
     centers: tuple[tuple[float, ...], ...]  # x, y, z each
@@ -124,16 +124,16 @@ class SpaceFilter:
 
     def __post_init__(self) -> None:
         if not self.centers or not np.isfinite(self.centers).all() or not (0 < self.reach < np.inf):
-            raise InvalidValue(f"an edit's filter needs places and a reach over 0, found {self.centers}, {self.reach}")
+            raise InvalidValue(f"an edit's filter needs points and a reach above 0, found {self.centers}, {self.reach}")
 
         if len(self.centers) > MOST_CENTERS:
             raise InvalidValue(
-                f"an edit is around {len(self.centers)} places, and {MOST_CENTERS} are the most; give fewer, or a "
+                f"an edit is around {len(self.centers)} points; at most {MOST_CENTERS} are supported. Give fewer, or a "
                 "longer reach"
             )
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """[n] float32 in 0..1 of cube points [n, 3]."""
+        """Return the filter [n], float32 in 0..1, at cube points [n, 3]."""
         places, squares = self.space.unwarp(x), np.full(len(x), np.inf)
         for center in self.centers:
             np.minimum(squares, np.square(places - np.asarray(center)).sum(1), out=squares)
@@ -157,7 +157,7 @@ class SpaceFilter:
 @dataclass(frozen=True)
 class Recoloring:
     """One edit. changes: of palette colors and weights. offset_scale, view_scale: factors of the offsets delta and of
-    what depends on the view. within: where it applies; None: everywhere."""
+    the view-dependent part. within: where the edit applies; None: everywhere."""
 
     changes: PaletteEdits = field(default_factory=PaletteEdits)
     offset_scale: float = 1.0
@@ -165,7 +165,7 @@ class Recoloring:
     within: SpaceFilter | None = None
 
     def share(self, x: np.ndarray) -> "Tensor":
-        """[n, 1] float32: how far it applies to cube points [n, 3]."""
+        """Return the edit's strength [n, 1], float32 in 0..1, at cube points [n, 3]."""
         import torch
 
         found = np.ones(len(x), np.float32) if self.within is None else self.within(x)
@@ -197,7 +197,7 @@ def recolored(
     edits: Sequence[Recoloring],
     x: np.ndarray,  # [n, 3] in the cube
 ) -> "Tensor":
-    """[n, 3], not clamped: sum_i w_i I (P_i + delta_i) + s after the edits, each upon those before it."""
+    """Return sum_i w_i I (P_i + delta_i) + s [n, 3] after the edits, applied in order; not clamped."""
     import torch
 
     shares = [edit.share(x).to(weights) for edit in edits]
@@ -205,7 +205,7 @@ def recolored(
         offsets = offsets * (1 + share * (edit.offset_scale - 1))[..., None]
         specular = specular * (1 + share * (edit.view_scale - 1))
     bases = list((intensity[..., None] * (palette + offsets)).unbind(1))
-    # The current palette at each place: a later edit elsewhere starts from what was learned, here from this one.
+    # The current palette at each point: a later edit builds on this one only where this one applies.
     present = list(palette.expand(len(weights), *palette.shape).unbind(1))
     for edit, share in zip(edits, shares):
         edit.changes.check(len(bases))
@@ -218,7 +218,7 @@ def recolored(
 
 
 def _weights(changes: PaletteEdits, weights: "Tensor") -> "Tensor":
-    """PaletteEdits.weights on tensors, which gradients pass."""
+    """PaletteEdits.weights for tensors, differentiable."""
     import torch
 
     if not changes.scales and not changes.biases:
@@ -233,10 +233,10 @@ def _weights(changes: PaletteEdits, weights: "Tensor") -> "Tensor":
 
 
 def shifted(colors: "Tensor", old: "Tensor", new: "Tensor") -> "Tensor":
-    """Colors [n, 3] as a palette color `old` [n, 3] or [3] becomes `new` [3]: hue turned by the difference of the two
-    hues, saturation and value scaled by their ratios.
+    """Return colors [n, 3] after a palette color changes from `old` [n, 3] or [3] to `new` [3]: hue rotated by the
+    difference of the two hues, saturation and value scaled by their ratios.
 
-    A color between black and white has neither hue nor saturation: where `old` is nearly one, both are the new one's.
+    Grays have neither hue nor saturation: where `old` is nearly gray, both are taken from `new`.
     """
     import torch
 
@@ -254,7 +254,7 @@ def shifted(colors: "Tensor", old: "Tensor", new: "Tensor") -> "Tensor":
 
 
 def to_hsv(colors: "Tensor") -> "tuple[Tensor, Tensor, Tensor]":
-    """Hue in 0..1, saturation in 0..1, value >= 0, each [...], of colors [..., 3]; what is negative counts as 0."""
+    """Return hue in 0..1, saturation in 0..1 and value >= 0, each [...], of colors [..., 3]; negatives count as 0."""
     import torch
 
     red, green, blue = colors.clamp_min(0).unbind(-1)
@@ -270,11 +270,12 @@ def to_hsv(colors: "Tensor") -> "tuple[Tensor, Tensor, Tensor]":
 
 
 def from_hsv(hue: "Tensor", saturation: "Tensor", value: "Tensor") -> "Tensor":
-    """Invert to_hsv, [..., 3]."""
+    """Return colors [..., 3]; the inverse of to_hsv."""
     import torch
 
     channels = []
-    # A channel is full within a sixth of the circle of its own hue, and falls to v (1 - s) over the next sixth.
+    # A channel is at its maximum within a sixth of the hue circle of its own hue, then falls to v (1 - s) over the
+    # next sixth.
     for begin in (5.0, 3.0, 1.0):
         k = torch.remainder(begin + 6 * hue, 6.0)
         channels.append(value - value * saturation * torch.minimum(k, 4 - k).clamp(0, 1))

@@ -1,4 +1,4 @@
-"""A radiance field: a density part and a color part in a warped space, and the occupancy grid that guides rays."""
+"""A radiance field: a density part and a color part in a warped space, and an occupancy grid to skip empty space."""
 
 from dataclasses import dataclass
 
@@ -27,12 +27,12 @@ COLOR_KINDS: dict[str, type[RestorableColor]] = {
     "headed": EncodedColor,
     "palette": PaletteColor,
 }
-MIN_STEP = 1e-5  # cube units: a ray takes no more than 10^5 steps
+MIN_STEP = 1e-5  # cube units; bounds a ray to about 10^5 steps
 
 
 @dataclass
 class RadianceField:
-    """A density and a color, of the same kind or not, in one warped space.
+    """A density and a color of any kinds in one warped space.
 
     Attributes:
         space: warp of world space to the unit cube.
@@ -42,8 +42,8 @@ class RadianceField:
         displacement: [m, m, m, 3] float32 on vertices, cube units, added to every position before density and color are
             evaluated (DeSRF's deformation, baked to a grid); or None.
         color_map: affine map of rendered colors, sRGB (exact color matching after a stylization); or None.
-        weight_threshold: part of its ray's largest weight that a sample needs to be colored; samples below take the
-            ray's mean color.
+        weight_threshold: fraction of its ray's largest weight that a sample needs to be colored; samples below it get
+            the ray's mean color.
     """
 
     space: SpaceWarp
@@ -57,7 +57,7 @@ class RadianceField:
 
     @property
     def opaque_background(self) -> bool:
-        """Whether rays end in an opaque background: a capture of the real world, not an object alone."""
+        """Whether rays end in an opaque background: true for real-world captures, false for isolated objects."""
         return self.space.kind != "box"
 
     def march(
@@ -72,10 +72,10 @@ class RadianceField:
 
         Args:
             rays: [rays].
-            samples_per_ray: most samples on a ray.
-            min_transmittance: a ray ends once its transmittance falls below this.
-            threads: partitions of the rays; the result is the same to the bit for the same number.
-            arena: where the samples' memory comes from; None: new memory.
+            samples_per_ray: maximum number of samples per ray.
+            min_transmittance: transmittance below which a ray terminates.
+            threads: partitions of the rays; results are bit-identical for the same number.
+            arena: allocates the samples; None: new memory.
         """
         settings = MarchSettings(
             np.float32(self.step), samples_per_ray, np.float32(min_transmittance), self.opaque_background
@@ -85,7 +85,7 @@ class RadianceField:
 
     @property
     def parameters(self) -> int:
-        """Number of learnable values."""
+        """Number of learnable parameters."""
         return len(self.density.values) + sum(len(part.values) for part in layers_of(self.color))
 
     def describe(self) -> dict:
@@ -101,7 +101,7 @@ class RadianceField:
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the named arrays that restore() takes."""
+        """Return the named arrays for restore()."""
         arrays = {
             "density": self.density.values,
             **_color_arrays(self.color, "color"),
@@ -115,7 +115,7 @@ class RadianceField:
         """Rebuild a field from describe() and arrays(), which may come from an untrusted file.
 
         Raises:
-            InvalidValue: they do not make a valid field.
+            InvalidValue: the data do not describe a valid field.
         """
         density = validation.entry(data, "density")
         kind = DENSITY_KINDS[validation.one_of(density, "kind", DENSITY_KINDS)]
@@ -132,7 +132,7 @@ class RadianceField:
 
 
 def layers_of(color: ColorPart) -> list[ColorPart]:
-    """Return a color part followed by the parts under it, if it is a region's color over another; those of a blend."""
+    """Return a color part followed by the bases under it (region colors); for a blend, those of all its layers."""
     if isinstance(color, BlendedColor):
         return [part for layer in color.simple for part in layers_of(layer.color)]
     return [color, *layers_of(color.base)] if isinstance(color, RegionColor) else [color]
@@ -152,17 +152,17 @@ def _color_arrays(color: ColorPart, name: str) -> dict[str, np.ndarray]:
 
 
 def _values(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Return a part's learned values; the part itself checks their number."""
+    """Return a part's learned values; the part itself checks their count."""
     return validation.array(arrays, name, np.float32, (None,), validation.LEARNED)
 
 
 def _any_color(data: dict, arrays: dict[str, np.ndarray], name: str, blends: int = MOST_BLENDS) -> ColorPart:
-    """Rebuild a color of describe() and _color_arrays(). blends: how many may still be nested."""
+    """Rebuild a color from describe() and _color_arrays(). blends: how many may still be nested."""
     if not (blends and isinstance(data, dict) and data.get("kind") == BlendedColor.kind):
         return _color(data, arrays, name)
     layers = validation.entry(data, "layers", list)
     if len(layers) > MOST_LAYERS:
-        raise InvalidValue(f"a blend has {len(layers)} layers, and {MOST_LAYERS} are the most")
+        raise InvalidValue(f"a blend has {len(layers)} layers; at most {MOST_LAYERS} are supported")
     return BlendedColor([_layer(one, arrays, f"{name}.{number}", blends - 1) for number, one in enumerate(layers)])
 
 
@@ -193,4 +193,4 @@ def _displacement(arrays: dict[str, np.ndarray]) -> np.ndarray | None:
     side = len(arrays["displacement"]) if arrays["displacement"].ndim else 0
     if side < 2:
         raise InvalidValue("the array displacement has no cells")
-    return validation.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # the whole cube
+    return validation.array(arrays, "displacement", np.float32, (side, side, side, 3), most=1.0)  # up to the whole cube

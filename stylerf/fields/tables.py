@@ -1,7 +1,7 @@
-"""Densities and features that kernels interpolate from one flat table; the kinds differ in how the table is laid out.
+"""Densities and features that kernels interpolate from one flat table; kinds differ in the layout of the table.
 
-kernels: the kind's module of kernels/cpu. layout: of the table, as they read it. shape: a tuple whose length (a rank, a
-number of levels) they need at compile time.
+kernels: the kind's module in kernels/cpu. layout: of the table, in the form the kernels expect. shape: a tuple whose
+length (a rank, a number of levels) the kernels need at compile time.
 """
 
 from types import ModuleType
@@ -14,7 +14,7 @@ from stylerf.kernels.cpu.ray_samples import Density, Rays, Samples
 
 
 class TableDensity:
-    """Raw density exp(shift + interpolated table) on the unit cube: a DensityPart. values: table, shift."""
+    """A DensityPart: raw density exp(shift + interpolated table) on the unit cube. values: table, then shift."""
 
     kind: str
     kernels: ModuleType
@@ -23,7 +23,7 @@ class TableDensity:
         """length: of the table."""
         self.values, self.layout, self._shape = values, layout, shape
         if len(values) != length + 1:
-            raise InvalidValue(f"{self.kind} density: {len(values)} values where {length + 1} were expected")
+            raise InvalidValue(f"{self.kind} density: expected {length + 1} values, found {len(values)}")
 
     @property
     def table(self) -> np.ndarray:
@@ -39,9 +39,9 @@ class TableDensity:
         return out
 
     def march(self, rays: Rays, inputs: MarchInputs) -> Samples:
-        """March rays to samples with room for samples_per_ray on every ray.
+        """March rays to samples, reserving room for samples_per_ray samples on every ray.
 
-        Only the pages that are written take memory.
+        Only pages that are written take up memory.
         """
         n, arena = len(rays.origins), inputs.arena
         size = n * inputs.settings.samples_per_ray
@@ -62,7 +62,7 @@ class TableDensity:
 
 
 class TableFeatures:
-    """`width` features per point, for a color head. Pure: the table, `length` floats, is an argument."""
+    """`width` features per point, for a color head. Stateless: the table, `length` floats, is an argument."""
 
     kernels: ModuleType
 
@@ -70,19 +70,19 @@ class TableFeatures:
         self.width, self.length, self.layout, self._shape = width, length, layout, shape
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
-        """Return random values of a table, small ones of either sign."""
+        """Return a table of small random values of either sign."""
         return generator.uniform(-1e-1, 1e-1, self.length).astype(np.float32)
 
     def encode(
         self, table: np.ndarray, x: np.ndarray, index: np.ndarray, threads: int, out: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube; in `out` if it is given."""
+        """Return features [m, width] of samples x[index], x [n, 3] in the unit cube, written to `out` if given."""
         out = np.empty((len(index), self.width), np.float32) if out is None else out
         self.kernels.features(table, self.layout, self._shape, x, index, threads, out)
         return out
 
     def backward(self, table, x, index, gradients: np.ndarray, to: np.ndarray) -> None:
-        """Add dL/d(table) to the threads' buffers `to` [threads, length or more]; gradients [m, width]."""
+        """Add dL/d(table) to the per-thread buffers `to` [threads, length or more], from gradients [m, width]."""
         self.kernels.features_backward(table, self.layout, self._shape, x, index, gradients, len(to), to)
 
     def add_position_gradients(self, table, x, index, gradients: np.ndarray, out: np.ndarray, threads: int) -> None:

@@ -1,7 +1,7 @@
 """Vector-matrix density, color and features (TensoRF, Chen et al. 2022): planes and lines in one flat table.
 
-Every part keeps all it learns in one flat float32 array `values`, tables first. Gradients are flat buffers
-[threads, len(values)] of the same layout, and one optimizer serves every kind of part.
+Every part keeps its parameters in one flat float32 array `values`, tables first. Gradients are flat buffers
+[threads, len(values)] with the same layout, so one optimizer serves every kind of part.
 """
 
 import numpy as np
@@ -17,12 +17,12 @@ from stylerf.geometry.spherical_harmonics import BANDS, C0
 from stylerf.kernels.cpu import vm as kernels
 from stylerf.kernels.cpu.ray_samples import LinearColor, ShadingPoints
 
-MOST_VERTICES, MOST_RANK = 1 << 16, 64  # along an axis; a kernel is compiled for each rank
+MOST_VERTICES, MOST_RANK = 1 << 16, 64  # per axis; a kernel is compiled for each rank
 _AXES = ((1, 2), (2, 0), (0, 1))
 
 
 def grid_of(data: dict) -> tuple[np.ndarray, int]:
-    """Return size [3] and rank from the JSON form of a part, each checked against its bounds."""
+    """Return size [3] and rank from the JSON form of a part, each validated against its bounds."""
     size = validation.integers(data, "size", 3, 2, MOST_VERTICES)
     return np.array(size, np.int64), validation.integer(data, "rank", 1, MOST_RANK)
 
@@ -53,7 +53,7 @@ def initial_table(size: np.ndarray, rank: int, generator: np.random.Generator, s
     for plane in planes:
         plane[:] = generator.normal(scale=spread, size=plane.shape)
     for line in lines:
-        # Away from 0: where plane and line both vanish, neither gets a gradient.
+        # Nonzero: where plane and line both vanish, neither gets a gradient.
         line[:] = generator.normal(scale=spread, size=line.shape) + 0.3
     return table
 
@@ -72,7 +72,7 @@ def widened_table(
 
 
 def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int) -> np.ndarray:
-    """Resample planes and lines to another grid: by interpolation if it is finer, else by least squares."""
+    """Resample planes and lines to another grid: by interpolation if finer, else by least squares."""
     out = np.empty(table_length(new, rank), np.float32)
     onto = [_onto(int(before), int(after)) for before, after in zip(old, new)]
     (planes, lines), (new_planes, new_lines) = split_table(table, old, rank), split_table(out, new, rank)
@@ -85,14 +85,14 @@ def resized_table(table: np.ndarray, old: np.ndarray, new: np.ndarray, rank: int
 
 
 def _onto(old: int, new: int) -> np.ndarray:
-    """Return [new, old] float32, the map from values on `old` vertices to the closest ones on `new`."""
+    """Return [new, old] float32, the linear map from values on `old` vertices to the closest approximation on `new`."""
     if new >= old:
         return _interpolation(new, old).astype(np.float32)
     return np.linalg.pinv(_interpolation(old, new)).astype(np.float32)
 
 
 def _interpolation(at: int, vertices: int) -> np.ndarray:
-    """Return [at, vertices], linear interpolation of evenly spaced vertices at `at` even positions, ends included."""
+    """Return [at, vertices]: linear interpolation of evenly spaced vertices at `at` evenly spaced points, with ends."""
     place = np.linspace(0, vertices - 1, at)
     first = np.minimum(place.astype(np.int64), vertices - 2)
     matrix = np.zeros((at, vertices))
@@ -102,7 +102,7 @@ def _interpolation(at: int, vertices: int) -> np.ndarray:
 
 
 class VmDensity(TableDensity):
-    """Raw density exp(shift + sum of features) on the unit cube. values: table, shift."""
+    """Raw density exp(shift + sum of features) on the unit cube. values: table, then shift."""
 
     kind, kernels = "vm", kernels
 
@@ -112,7 +112,7 @@ class VmDensity(TableDensity):
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, generator: np.random.Generator, shift: float = -4.0) -> "VmDensity":
-        """Create a thin fog that the first rays see all of: exp(-4) is an optical depth of 1.8 across the cube."""
+        """Create a fog that the first rays see through: exp(-4) is an optical depth of 1.8 across the cube."""
         table = initial_table(np.asarray(size), rank, generator, 0.1)
         return cls(size, rank, np.append(table, np.float32(shift)))
 
@@ -132,7 +132,7 @@ class VmDensity(TableDensity):
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid | None) -> "VmDensity":
-        """Return the closest density with fewer ranks, judged where `occupancy` is occupied."""
+        """Return the closest density with fewer ranks, weighted by `occupancy`."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         old, new = split_table(self.table, self.size, self.rank), split_table(table, self.size, rank)
@@ -142,7 +142,7 @@ class VmDensity(TableDensity):
         return VmDensity(self.size, rank, np.append(table, self.values[-1]))
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmDensity":
-        """Return the same density at another capacity."""
+        """Return the same density with another capacity."""
         if capacity.density_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self
         made = self.with_rank(capacity.density_rank, generator)
@@ -172,7 +172,7 @@ class VmColor:
         self._ranks = (np.int8(0),) * self.rank
         self._head = 3 * BANDS[self.degree] * 3 * self.rank
         if len(values) != (expected := table_length(self.size, self.rank) + self._head + 3):
-            raise InvalidValue(f"vm color: {len(values)} values where {expected} were expected")
+            raise InvalidValue(f"vm color: expected {expected} values, found {len(values)}")
 
     @classmethod
     def create(cls, size: np.ndarray, rank: int, degree: int, generator: np.random.Generator) -> "VmColor":
@@ -203,13 +203,13 @@ class VmColor:
             return self
         table = widened_table(self.table, self.size, self.rank, rank, generator)
         bands = BANDS[self.degree]
-        # A grid of any size: only the new head is taken.
+        # Any grid size will do: only the new head is used.
         head = VmColor.create(np.full(3, 8), rank, self.degree, generator).head.reshape(3, bands, 3, rank)
         head[..., : self.rank] = self.head.reshape(3, bands, 3, self.rank)
         return VmColor(self.size, rank, self.degree, np.concatenate([table, head.ravel(), self.values[-3:]]))
 
     def narrowed(self, rank: int, occupancy: OccupancyGrid | None) -> "VmColor":
-        """Return the closest color with fewer ranks, judged where `occupancy` is occupied."""
+        """Return the closest color with fewer ranks, weighted by `occupancy`."""
         table = np.empty(table_length(self.size, rank), np.float32)
         weights = texel_weights(occupancy, self.size)
         head = self.head.reshape(-1, 3, self.rank)
@@ -222,7 +222,7 @@ class VmColor:
         return VmColor(self.size, rank, self.degree, values)
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VmColor":
-        """Return the same color at another capacity."""
+        """Return the same color with another capacity."""
         if capacity.color_rank == self.rank and tuple(capacity.size) == tuple(self.size):
             return self.with_degree(capacity.degree) if capacity.degree != self.degree else self
         made = self.with_rank(capacity.color_rank, generator)
@@ -231,7 +231,7 @@ class VmColor:
         return made.resized(capacity.size).with_degree(capacity.degree)
 
     def with_degree(self, degree: int) -> "VmColor":
-        """Return the same color with more (zero) or fewer spherical-harmonic bands."""
+        """Return the same color with more spherical-harmonic bands (zero at first) or fewer."""
         old = self.head.reshape(3, BANDS[self.degree], -1)
         head = np.zeros((3, BANDS[degree], old.shape[2]), np.float32)
         shared = min(old.shape[1], head.shape[1])
@@ -268,11 +268,11 @@ class VmColor:
 
 
 class VmFeatures(TableFeatures):
-    """Products of planes and lines, three times `rank` of them (TensoRF, eq. 7)."""
+    """Products of planes and lines, 3 rank of them (TensoRF, eq. 7)."""
 
     kind, kernels = "vm", kernels
-    fixed = 0  # floats, the table's first, that never learn
-    rate = 1.0  # factor of the learning rate
+    fixed = 0  # number of floats at the start of the table that never learn
+    rate = 1.0  # learning-rate factor
 
     def __init__(self, size: np.ndarray, rank: int) -> None:
         self.size, self.rank = np.asarray(size, np.int64), int(rank)
@@ -281,18 +281,18 @@ class VmFeatures(TableFeatures):
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "VmFeatures":
-        """Create features of a capacity; the degree of the color's harmonics does not change them."""
+        """Create features for a capacity; independent of the color's spherical-harmonic degree."""
         return cls(capacity.size, capacity.color_rank)
 
     def initial(self, generator: np.random.Generator) -> np.ndarray:
         return initial_table(self.size, self.rank, generator, 0.1)
 
     def grown(self, table: np.ndarray, capacity: Capacity) -> tuple["VmFeatures", np.ndarray]:
-        """Return the same features on another grid, and their table; a head has one width, so the rank stays."""
+        """Return the same features on another grid, and their table; the rank stays, since a head's width is fixed."""
         return VmFeatures(capacity.size, self.rank), resized_table(table, self.size, capacity.size, self.rank)
 
     def smooth(self, table: np.ndarray, strength: float, to: np.ndarray) -> None:
-        """As VmColor.smooth."""
+        """See VmColor.smooth."""
         kernels.smoothness_backward(table, self.size, self._shape, np.float32(strength / self.length), to)
 
     def describe(self) -> dict:

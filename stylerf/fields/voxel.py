@@ -1,4 +1,4 @@
-"""A sparse voxel grid (ARF's; Fridovich-Keil et al. 2022) as a density and as features of a color head."""
+"""A sparse voxel grid (as in ARF; Fridovich-Keil et al. 2022) as a density and as features for a color head."""
 
 import base64
 import zlib
@@ -15,16 +15,16 @@ from stylerf.geometry.spherical_harmonics import BANDS
 from stylerf.kernels.cpu import voxel as kernels
 
 BLOCK = 4  # vertices per side; at 256^3 a block is a cell of a 64^3 occupancy grid
-# Learning-rate factor: a step moves one voxel at a time, but all entries of a vm product at once (decision 0018).
+# Learning-rate factor: a step changes a single voxel, but all factors of a vm product at once (decision 0018).
 RATE_FACTOR = 15.0
-MAX_BLOCKS = 1 << 25  # of a grid, allocated or not; 1024^3 vertices have half as many
+MAX_BLOCKS = 1 << 25  # per grid, allocated or not; 1024^3 vertices have half as many
 EMPTY = -8.0  # exponent where no block is allocated: an optical depth of 6e-4 across the cube
 
 
 class Grid:
-    """The blocks of BLOCK^3 vertices that a grid of `size` [3] vertices allocates. kept: [blocks per axis] bool.
+    """The allocated blocks of BLOCK^3 vertices in a grid of `size` [3] vertices. kept: [blocks per axis] bool.
 
-    A table has one more block: the first stands for all blocks that are not allocated.
+    A table has one more block: the first is shared by all blocks that are not allocated.
     """
 
     def __init__(self, size: np.ndarray, kept: np.ndarray) -> None:
@@ -33,13 +33,13 @@ class Grid:
         if (self.size < 2).any() or kept.dtype != bool or kept.shape != tuple(blocks):
             raise InvalidValue(f"voxel grid {self.size.tolist()}: blocks {kept.shape} {kept.dtype}, {blocks.tolist()}")
         self.kept = kept
-        # Blocks count from 1: 0 is the shared one.
+        # Blocks are numbered from 1; 0 is the shared one.
         numbers = np.where(kept, np.cumsum(kept.ravel()).reshape(kept.shape), 0).ravel()
         self.links = np.concatenate([self.size, blocks, numbers]).astype(np.int32)
 
     @classmethod
     def of(cls, capacity: Capacity) -> "Grid":
-        """Create a grid of a capacity's vertices, or of those around its occupied cells."""
+        """Create a grid with all of a capacity's vertices, or only those around its occupied cells."""
         blocks = tuple(-(-np.asarray(capacity.size, np.int64) // BLOCK))
         if capacity.occupancy is None:
             return cls(capacity.size, np.ones(blocks, np.bool_))
@@ -47,12 +47,12 @@ class Grid:
 
     @property
     def rows(self) -> int:
-        """Rows in a table."""
+        """Number of rows in a table."""
         return (int(self.kept.sum()) + 1) * BLOCK**3
 
     def vertices(self) -> np.ndarray:
-        """Return the positions [rows, 3] of a table's rows in the cube (clipped to it), the first block's at 0."""
-        # A fine grid has millions of rows: float32 throughout, and no temporary wider than the result.
+        """Return the positions [rows, 3] of a table's rows, clipped to the cube; the first block is at the origin."""
+        # A fine grid has millions of rows: use float32 throughout, and no temporaries larger than the result.
         corner = np.concatenate([np.zeros((1, 3), np.int64), np.argwhere(self.kept)]).astype(np.float32) * BLOCK
         within = np.stack(np.unravel_index(np.arange(BLOCK**3), (BLOCK,) * 3), 1).astype(np.float32)
         places = (corner[:, None] + within[None]).reshape(-1, 3)
@@ -60,7 +60,7 @@ class Grid:
         return np.clip(places, 0, 1, out=places)
 
     def describe(self) -> dict:
-        """Return JSON; the bits of `kept` are deflated to base64, a few kilobytes for a 256^3 grid."""
+        """Return JSON; the bits of `kept` are compressed (zlib, base64), a few kilobytes for a 256^3 grid."""
         bits = zlib.compress(np.packbits(self.kept).tobytes(), 9)
         return {"size": self.size.tolist(), "kept": base64.b64encode(bits).decode()}
 
@@ -76,22 +76,22 @@ class Grid:
             packed = base64.b64decode(validation.entry(data, "kept", str), validate=True)
             bits = zlib.decompressobj().decompress(packed, expected + 1)  # a few bytes can inflate to gigabytes
         except (zlib.error, ValueError) as error:
-            raise InvalidValue(f"voxel grid: the list of its blocks is damaged ({error})") from error
+            raise InvalidValue(f"voxel grid: the list of blocks is damaged ({error})") from error
         if len(bits) != expected:
-            raise InvalidValue(f"voxel grid {size}: {expected} bytes of blocks were expected")
+            raise InvalidValue(f"voxel grid {size}: the list of blocks should have {expected} bytes")
         kept = np.unpackbits(np.frombuffer(bits, np.uint8), count=count).astype(bool)
         return cls(np.array(size), kept.reshape(blocks))
 
 
 def _touched(occupancy: OccupancyGrid, size: np.ndarray, blocks: tuple[int, int, int]) -> np.ndarray:
-    """Return [blocks] bool: the blocks with a vertex of a grid cell that overlaps an occupied cell.
+    """Return [blocks] bool: the blocks with a vertex of any grid cell that overlaps an occupied cell.
 
-    Adding neighboring cells makes a field 1.6 times as large and no better (lego, 400 steps: 27.84 dB both ways).
+    Adding neighboring cells makes a field 1.6 times as large but no better (lego, 400 steps: 27.84 dB either way).
     """
     found = (occupancy.distances == 0).reshape((occupancy.cells,) * 3)
     for axis in range(3):
         first = np.arange(blocks[axis]) * BLOCK
-        # Vertex v contributes from v - 1 to v + 1, in cells of the voxel grid.
+        # Vertex v contributes between v - 1 and v + 1, in cells of the voxel grid.
         low = np.clip((first - 1) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
         high = np.clip((first + BLOCK) / (size[axis] - 1) * occupancy.cells, 0, occupancy.cells - 1).astype(np.int64)
         sums = np.cumsum(found, axis=axis, dtype=np.int64)
@@ -101,7 +101,7 @@ def _touched(occupancy: OccupancyGrid, size: np.ndarray, blocks: tuple[int, int,
 
 
 class VoxelDensity(TableDensity):
-    """Raw density exp(shift + interpolated vertex values) on the unit cube. values: table [rows], shift."""
+    """Raw density exp(shift + interpolated vertex values) on the unit cube. values: table [rows], then shift."""
 
     kind, kernels = "voxel", kernels
 
@@ -111,18 +111,18 @@ class VoxelDensity(TableDensity):
 
     @classmethod
     def create(cls, capacity: Capacity, generator: np.random.Generator, shift: float = -4.0) -> "VoxelDensity":
-        """Create a thin fog, as VmDensity.create does."""
+        """Create a thin fog; see VmDensity.create."""
         grid = Grid.of(capacity)
         values = np.append(generator.normal(scale=1e-2, size=grid.rows), shift).astype(np.float32)
         values[: BLOCK**3] = EMPTY
         return cls(grid, values)
 
     def groups(self) -> list[tuple[int, int, float]]:
-        """As Part.groups; the shared block 0 never learns."""
+        """See Part.groups; the shared block 0 never learns."""
         return [(BLOCK**3, len(self.values), RATE_FACTOR)]
 
     def grown(self, capacity: Capacity, generator: np.random.Generator) -> "VoxelDensity":
-        """Return the same density interpolated to another grid where space is occupied, and EMPTY elsewhere."""
+        """Return the same density, interpolated to another grid where space is occupied, EMPTY elsewhere."""
         grid = Grid.of(capacity)
         table = sampled(self.grid, self.table, (np.int8(0),), grid)
         table[: BLOCK**3] = EMPTY
@@ -141,14 +141,14 @@ class VoxelDensity(TableDensity):
 
 
 class VoxelFeatures(TableFeatures):
-    """`width` numbers per vertex of a voxel grid, interpolated trilinearly; for the harmonic head, its coefficients."""
+    """`width` trilinearly interpolated numbers per voxel vertex; for the harmonic head, its coefficients."""
 
     kind, kernels = "voxel", kernels
-    rate = RATE_FACTOR  # factor of the learning rate
+    rate = RATE_FACTOR  # learning-rate factor
 
     def __init__(self, grid: Grid, width: int) -> None:
         super().__init__(width, grid.rows * width, grid.links, (np.int8(0),) * width)
-        self.grid, self.fixed = grid, BLOCK**3 * width  # floats, the table's first, that never learn
+        self.grid, self.fixed = grid, BLOCK**3 * width  # number of floats at the start of the table that never learn
 
     @classmethod
     def of(cls, capacity: Capacity, degree: int) -> "VoxelFeatures":
@@ -171,7 +171,7 @@ class VoxelFeatures(TableFeatures):
 
 
 def sampled(old: Grid, table: np.ndarray, widths: tuple, new: Grid) -> np.ndarray:
-    """Return the rows of `new`, flat, interpolated from `old`'s table."""
+    """Return the table of `new`, flat, interpolated from `old`'s table."""
     x = new.vertices()
     out = np.empty((len(x), len(widths)), np.float32)
     kernels.features(table, old.links, widths, x, np.arange(len(x)), 1, out)

@@ -1,10 +1,10 @@
-"""Conversions of camera poses to our convention: world_from_camera with OpenCV axes (x right, y down, z forward)."""
+"""Convert camera poses to our convention: world_from_camera with OpenCV axes (x right, y down, z forward)."""
 
 import numpy as np
 
 from stylerf.errors import InvalidValue
 
-# Largest entry of |R R^T - 1| attributed to rounding: files with five digits reach 1e-4, real errors 1e-2 and more.
+# Largest entry of |R R^T - I| attributed to rounding: files with five digits reach 1e-4, real errors 1e-2 and more.
 ROTATION_TOLERANCE = 2e-3
 
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -41,10 +41,10 @@ def with_last_row(pose: np.ndarray) -> np.ndarray:
 
 
 def checked_pose(pose: np.ndarray) -> np.ndarray:
-    """Replace the rotation of a pose [4, 4] by the nearest exact one (polar decomposition).
+    """Replace the rotation of a pose [4, 4] with the nearest exact one (polar decomposition).
 
     Raises:
-        InvalidValue: The pose is not finite, or scaled, sheared or mirrored beyond ROTATION_TOLERANCE.
+        InvalidValue: The pose is not finite, or it is scaled, sheared or mirrored beyond ROTATION_TOLERANCE.
     """
     pose = np.asarray(pose, dtype=np.float64)
     if pose.shape != (4, 4):

@@ -1,4 +1,4 @@
-"""Camera paths. Frame i of n depends only on the scene's cameras, i and n, so parts of a job can be rendered apart."""
+"""Camera paths. Frame i of n depends only on the scene's cameras, i and n, so a job can be rendered in parts."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ from stylerf.errors import InvalidValue
 from stylerf.geometry.cameras import Camera
 
 PATHS = ("orbit", "spiral", "interpolate")
-PARALLEL = 10.0  # degrees of the viewing axes from their mean, on average: beyond, cameras look at one place
+PARALLEL = 10.0  # mean angle, degrees, between viewing axes and their mean above which cameras look at one point
 
 
 def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_depth: float) -> Camera:
@@ -20,11 +20,11 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
         index: Frame, 0 to count - 1.
         count: Number of frames.
         focus_depth: Distance from the average camera to the point that orbits and spirals look at, scene units, if
-            the cameras look in one direction rather than at one place.
+            the cameras look in one direction rather than at one point.
     """
     if not cameras:
         raise InvalidValue("a camera path needs the scene's cameras; there are none")
-    # Orbit and spiral close, so that frame `count` would be frame 0 again; interpolate ends at its last camera.
+    # Orbit and spiral are closed: frame `count` would be frame 0 again; interpolate ends at its last camera.
     if kind == "orbit":
         pose = _orbit_pose(cameras, index / count, focus_depth)
     elif kind == "spiral":
@@ -32,12 +32,12 @@ def path_camera(kind: str, cameras: list[Camera], index: int, count: int, focus_
     elif kind == "interpolate":
         pose = _between_pose(cameras, index / max(count - 1, 1))
     else:
-        raise InvalidValue(f"camera path {kind!r} is none of {', '.join(PATHS)}")
+        raise InvalidValue(f"unknown camera path {kind!r}; expected one of {', '.join(PATHS)}")
     return replace(cameras[0], name=f"{index:04d}", world_from_camera=pose)
 
 
 def look_at(center: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return the pose [4, 4] (x right, y down, z forward) at `center` that looks at `target` with `up` at the top."""
+    """Return the pose [4, 4] (x right, y down, z forward) at `center` that looks at `target` with `up` upwards."""
     forward = _unit(target - center)
     right = _unit(np.cross(forward, up))
     pose = np.eye(4)
@@ -50,7 +50,7 @@ def focus_point(cameras: list[Camera]) -> np.ndarray:
     centers = np.array([c.center for c in cameras])
     axes = np.array([c.forward for c in cameras])
     projectors = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    # Parallel axes make the sum singular; a slight pull to the mean camera decides where they leave it open.
+    # Parallel axes make the sum singular; regularize towards the mean camera position.
     matrix = projectors.sum(0) + 1e-6 * len(cameras) * np.eye(3)
     right = (projectors @ centers[:, :, None]).sum(0)[:, 0] + 1e-6 * len(cameras) * centers.mean(0)
     return np.linalg.solve(matrix, right)
@@ -62,23 +62,23 @@ def average_up(cameras: list[Camera]) -> np.ndarray:
 
 
 def looked_at(cameras: list[Camera], focus_depth: float) -> np.ndarray:
-    """Return the place that the cameras look at, [3]; of cameras in one direction, at focus_depth from their mean."""
+    """Return the point [3] that the cameras look at; if they look in one direction, at focus_depth from their mean."""
     centers = np.array([c.center for c in cameras])
     axes = np.array([c.forward for c in cameras])
     focus, mean = focus_point(cameras), axes.mean(0)
     length = np.linalg.norm(mean)
     apart = np.degrees(np.arccos(np.clip(axes @ mean / max(length, 1e-12), -1, 1))).mean()
     ahead = ((focus - centers) * axes).sum(1) > 0
-    # Axes that part meet behind the cameras; those of cameras all around have no mean to go by.
+    # Diverging axes intersect behind the cameras; if cameras surround the focus, the mean axis is meaningless.
     if apart > PARALLEL and (ahead.mean() > 0.5 or length < 0.5):
         return focus
     return centers.mean(0) + _unit(mean) * focus_depth
 
 
 def _orbit_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
-    """Orbit the focus at the cameras' median height and distance.
+    """Return a pose on an orbit around the focus, at the cameras' median height and distance.
 
-    A full circle if the cameras surround the focus, else a swing along their arc and back.
+    A full circle if the cameras surround the focus, else back and forth along their arc.
     """
     focus, up = looked_at(cameras, focus_depth), average_up(cameras)
     offsets = np.array([c.center for c in cameras]) - focus
@@ -88,7 +88,7 @@ def _orbit_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.n
     if np.linalg.norm(flat.mean(0)) > 0.2 * distances.mean():
         first = _unit(flat.mean(0))
     else:
-        # The first camera that is not above or below the focus, where its direction would mean nothing.
+        # The first camera that is not above or below the focus, where its direction would be meaningless.
         first = _unit(flat[int(np.argmax(distances >= 0.1 * distances.mean()))])
     second = np.cross(up, first)
     angles = np.arctan2(flat @ second, flat @ first)
@@ -99,7 +99,7 @@ def _orbit_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.n
     else:
         start = ordered[(int(gaps.argmax()) + 1) % len(ordered)]
         width = 2 * np.pi - gaps.max()
-        # From 5 to 95 % of the arc and back, slow at both ends.
+        # From 5 % to 95 % of the arc and back, slow at both ends.
         angle = start + width * (0.5 - 0.45 * np.cos(2 * np.pi * share))
     away, height = float(np.median(np.linalg.norm(offsets, axis=1))), float(np.median(heights))
     radius = float(np.sqrt(max(away**2 - height**2, 0)))
@@ -108,7 +108,7 @@ def _orbit_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.n
 
 
 def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.ndarray:
-    """Make two turns of an ellipse in the plane of the cameras, as wide as 80 % of them, around one point (LLFF)."""
+    """Return a pose on a spiral (LLFF): two turns of an ellipse as wide as 80 % of the cameras, facing one point."""
     poses = np.array([c.world_from_camera for c in cameras])
     center, up, target = poses[:, :3, 3].mean(0), average_up(cameras), looked_at(cameras, focus_depth)
     base = look_at(center, target, up)
@@ -120,15 +120,15 @@ def _spiral_pose(cameras: list[Camera], share: float, focus_depth: float) -> np.
 
 
 def _between_pose(cameras: list[Camera], share: float) -> np.ndarray:
-    """Pass through all cameras, from neighbor to neighbor."""
+    """Return a pose on a path through all cameras, from neighbor to neighbor."""
     order = _tour(np.array([c.center for c in cameras]))
     return spline_pose(np.array([cameras[i].world_from_camera for i in order]), share)
 
 
 def spline_pose(poses: np.ndarray, share: float) -> np.ndarray:
-    """Return the pose [4, 4] at `share` of the way through poses [n, 4, 4], in their order, each as far as the next.
+    """Interpolate a pose [4, 4] at `share` of the way through poses [n, 4, 4], in order, equally spaced.
 
-    Catmull-Rom for centers, slerp for rotations. share: 0 at the first, 1 at the last.
+    Catmull-Rom for centers, slerp for rotations. share: 0 at the first pose, 1 at the last.
     """
     from scipy.spatial.transform import Rotation, Slerp
 
@@ -156,7 +156,7 @@ def _catmull_rom(p: np.ndarray, u: float) -> np.ndarray:
 
 
 def _tour(centers: np.ndarray) -> list[int]:
-    """Visit every camera once, always the nearest unvisited one, starting from an outermost one."""
+    """Return a tour of all cameras: always the nearest unvisited one, starting from an outermost one."""
     left = set(range(len(centers)))
     here = int(np.argmax(np.linalg.norm(centers - centers.mean(0), axis=1)))
     order = [here]
@@ -171,5 +171,5 @@ def _tour(centers: np.ndarray) -> list[int]:
 def _unit(vector: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vector)
     if length < 1e-12:
-        raise InvalidValue("a direction has no length: cameras coincide or face each other")
+        raise InvalidValue("a direction has zero length: cameras coincide or face each other")
     return vector / length

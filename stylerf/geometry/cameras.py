@@ -1,6 +1,6 @@
-"""Pinhole cameras, in the convention that all sources are converted to.
+"""Pinhole cameras, in the convention to which all sources are converted.
 
-Axes are OpenCV's and COLMAP's: x right, y down, z forward. `world_from_camera` maps camera points to world points.
+Axes are those of OpenCV and COLMAP: x right, y down, z forward. `world_from_camera` maps camera points to world points.
 Pixel (column i, row j) has its center at (i + 0.5, j + 0.5); a camera point (x, y, z) projects to
 (fx x/z + cx, fy y/z + cy).
 """
@@ -13,12 +13,12 @@ from stylerf.errors import InvalidValue
 from stylerf.validation import LARGEST
 
 MIN_FOCAL = 1e-3  # pixels
-AXIS_WEIGHT = 0.3  # of a difference of viewing directions, against one of positions as far apart as the cameras
+AXIS_WEIGHT = 0.3  # of differences in viewing direction, relative to position differences as large as the camera spread
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One pinhole camera.
+    """A pinhole camera.
 
     Attributes:
         width, height: Pixels.
@@ -51,7 +51,7 @@ class Camera:
         if far > LARGEST or min(self.fx, self.fy) < MIN_FOCAL:
             raise InvalidValue(
                 f"camera {self.name}: its position, focal length or principal point exceeds {LARGEST:g}, or its focal "
-                f"length is under {MIN_FOCAL:g} pixels"
+                f"length is below {MIN_FOCAL:g} pixels"
             )
         if self.width < 1 or self.height < 1:
             raise InvalidValue(f"camera {self.name}: size {self.width}x{self.height} is empty")
@@ -73,7 +73,7 @@ class Camera:
         return np.linalg.inv(self.world_from_camera)
 
     def scaled(self, factor: float) -> "Camera":
-        """Return the camera of the same view resized by `factor`; sides are rounded and at least 1."""
+        """Return the camera of the same view, resized by `factor`; sides are rounded and at least 1."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
         kx, ky = width / self.width, height / self.height
         return replace(
@@ -81,14 +81,14 @@ class Camera:
         )
 
     def zoomed_out(self, factor: float) -> "Camera":
-        """Return the camera that sees `factor` times as far to each side in as many pixels."""
+        """Return the camera with a `factor` times wider field of view (in tangents) and the same number of pixels."""
         return replace(self, fx=self.fx / factor, fy=self.fy / factor)
 
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return the rays through pixel centers.
 
         Args:
-            pixels: Row-major indices [n]; None for all pixels, row by row. Both give the same bits.
+            pixels: Row-major indices [n]; None for all pixels in row-major order. Results are bit-identical.
 
         Returns:
             Origins and unit directions in world coordinates, [n, 3] float32 each.
@@ -100,7 +100,7 @@ class Camera:
         """Return origins and unit directions in world coordinates, [n, 3] float32 each, of X/Z and Y/Z [n] float64."""
         length = np.sqrt(x * x + y * y + 1)
         directions = np.empty((len(x), 3), np.float32)
-        # Written out: a matrix product may round differently for another number of rows.
+        # Written out, because a matrix product may round differently for a different number of rows.
         for axis, (right, down, forward) in enumerate(self.world_from_camera[:3, :3]):
             directions[:, axis] = (right * x + down * y + forward) / length
         return np.tile(self.center.astype(np.float32), (len(x), 1)), directions
@@ -112,7 +112,7 @@ class Camera:
         return (1.0 / np.sqrt(1.0 + x * x + y * y)).astype(np.float32)
 
     def has_ray(self) -> np.ndarray:
-        """Return [height, width] bool, which pixels see anything: all, for a pinhole."""
+        """Return [height, width] bool: which pixels have a ray; all of them for a pinhole."""
         return np.ones((self.height, self.width), bool)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,13 +131,13 @@ class Camera:
         return local @ self.world_from_camera[:3, :3].T + self.center
 
 
-# -- matched points (x, y) = (X/Z, Y/Z) of two views -------------------------------------------------------------------
+# -- matched points (x, y) = (X/Z, Y/Z) in two views -------------------------------------------------------------------
 
 
 def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the essential matrix E [3, 3] of two poses [4, 4]: x2^T E x1 = 0; the translation has length 1.
+    """Return the essential matrix E [3, 3] of two poses [4, 4]: x2^T E x1 = 0, with a translation of length 1.
 
-    All zero for cameras at the same position, where every pair of points is consistent.
+    Zero for cameras at the same position, where every pair of points is consistent.
     """
     second_from_first = np.linalg.inv(second) @ first
     rotation, shift = second_from_first[:3, :3], second_from_first[:3, 3]
@@ -147,7 +147,7 @@ def essential(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def epipolar_distance(matrix: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the distance of matched points [n, 2] from each other's epipolar lines, the larger of both views, [n].
+    """Return the distance of matched points [n, 2] from each other's epipolar lines, the larger one of both views, [n].
 
     Multiply by the focal length for pixels. 0 if the essential matrix is zero.
     """
@@ -167,12 +167,12 @@ def largest_parallax(point: np.ndarray, centers: np.ndarray) -> float:
 
 
 def evenly_spaced(count: int, most: int) -> list[int]:
-    """Return the numbers of up to `most` of `count` views, evenly spaced from the first to the last."""
+    """Return the indices of up to `most` of `count` views, evenly spaced from the first to the last."""
     return [int(view) for view in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def from_far_apart(cameras: list[Camera]) -> list[int]:
-    """Order cameras so that each is the one farthest from all before it (farthest-point sampling)."""
+    """Return an order of cameras in which each is the farthest from all before it (farthest-point sampling)."""
     if not cameras:
         return []
     centers = np.array([camera.center for camera in cameras])

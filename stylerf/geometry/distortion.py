@@ -48,7 +48,7 @@ class Distortion:
         return self.kind == "brown" and not any((*self.radial, *self.tangential, *self.denominator))
 
     def distort(self, points: np.ndarray) -> np.ndarray:
-        """Map undistorted points [..., 2] to distorted points [..., 2]."""
+        """Return distorted points [..., 2] for undistorted points [..., 2]."""
         if self.kind in LENSES:
             return LENSES[self.kind][0](points, self.others)
         x, y = points[..., 0], points[..., 1]
@@ -70,10 +70,10 @@ class Distortion:
         )
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
-        """Map distorted points [..., 2] to undistorted points [..., 2] by Newton's method; NaN where that fails."""
+        """Return undistorted points [..., 2] for distorted points [..., 2], by Newton's method; NaN where it fails."""
         points = np.asarray(points, dtype=np.float64)
         found = self._start(points)
-        # Forward differences: their error slows convergence but does not move the solution, which the residual decides.
+        # Forward differences: their error slows convergence but does not change the solution, a zero of the residual.
         step = 1e-6
         for _ in range(30):
             here = self.distort(found)
@@ -90,7 +90,7 @@ class Distortion:
                 axis=-1,
             )
             found = found + move / determinant[..., None]
-        lost = ~(np.abs(self.distort(found) - points).max(axis=-1) < 1e-7)  # negated, so that NaN is lost too
+        lost = ~(np.abs(self.distort(found) - points).max(axis=-1) < 1e-7)  # negated, so that NaN counts as lost
         return np.where(lost[..., None], np.nan, found)
 
     def _start(self, points: np.ndarray) -> np.ndarray:
@@ -107,10 +107,10 @@ def _series(coefficients: tuple[float, ...], squared: np.ndarray) -> np.ndarray:
 
 
 def from_colmap(model: str, params: list[float]) -> tuple[Intrinsics, Distortion]:
-    """Convert COLMAP's camera model and parameters to (fx, fy, cx, cy) and the distortion.
+    """Convert a COLMAP camera model and its parameters to (fx, fy, cx, cy) and a distortion.
 
     Raises:
-        InvalidValue: The model is unknown or the number of parameters wrong.
+        InvalidValue: The model is unknown or the number of parameters is wrong.
     """
     shared = {"SIMPLE_PINHOLE": 0, "SIMPLE_RADIAL": 1, "RADIAL": 2, "SIMPLE_RADIAL_FISHEYE": 1, "RADIAL_FISHEYE": 2,
               "SIMPLE_FISHEYE": 0}  # fmt: skip
@@ -121,7 +121,7 @@ def from_colmap(model: str, params: list[float]) -> tuple[Intrinsics, Distortion
     count = LENSES[kind][2] if kind in LENSES else shared.get(model, separate.get(model))
     if count is None:
         known = ", ".join([*shared, *separate, *map(str.upper, LENSES), "SIMPLE_DIVISION"])
-        raise InvalidValue(f"its camera model {model} is not known; undistort the images first, or use one of {known}")
+        raise InvalidValue(f"its camera model {model} is unknown; undistort the images first, or use one of {known}")
     lead = 3 if model in shared else 4
     if len(params) != lead + count:
         raise InvalidValue(f"camera model {model} takes {lead + count} parameters, found {len(params)}")
@@ -140,12 +140,12 @@ def from_colmap(model: str, params: list[float]) -> tuple[Intrinsics, Distortion
 # Newton's method may diverge to NaN, which is checked below.
 @np.errstate(over="ignore", invalid="ignore")
 def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distortion) -> Intrinsics:
-    """Return the pinhole camera that shows most of a distorted image without blank pixels.
+    """Return the pinhole camera that shows as much as possible of a distorted image without blank pixels.
 
     It has the same size (width, height) and pixel aspect ratio.
 
     Raises:
-        InvalidValue: The distortion folds the image, so that its edge cannot be undistorted.
+        InvalidValue: The distortion folds the image, so its edge cannot be undistorted.
     """
     if distortion.none:
         return intrinsics
@@ -165,12 +165,12 @@ def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distor
                 raise InvalidValue(
                     "its distortion coefficients fold the image at its edge; check k1, k2, p1, p2, the focal length"
                 )
-            # The innermost point of a curved edge, so that no pixel beyond it is shown.
+            # The innermost point of a curved edge, so that no pixels beyond it are shown.
             (highs if far_side else lows).append(float(ideal.min() if far_side else ideal.max()))
     lower, upper = np.maximum(lows, -WIDEST_SLOPE), np.minimum(highs, WIDEST_SLOPE)
     if not np.all(lower < upper):
         raise InvalidValue("its distortion leaves no rectangle of the image; check its coefficients")
-    # A single scale keeps the pixels' aspect ratio; the longer side of the rectangle is cropped.
+    # A single scale preserves the pixel aspect ratio; the longer side of the rectangle is cropped.
     scale = max(width / (upper[0] - lower[0]) / fx, height / (upper[1] - lower[1]) / fy)
     fx, fy = scale * fx, scale * fy
     cx, cy = np.array([width, height]) / 2 - (lower + upper) / 2 * [fx, fy]
@@ -180,7 +180,7 @@ def pinhole_of(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distor
 def source_positions(
     size: tuple[int, int], pinhole: Intrinsics, intrinsics: Intrinsics, distortion: Distortion
 ) -> np.ndarray:
-    """Return the position in the distorted image of each pixel center of the pinhole image.
+    """Return, for each pixel center of the pinhole image, its position in the distorted image.
 
     Returns:
         [height, width, 2] float32, in pixels; pixel (i, j) has its center at (i + 0.5, j + 0.5).
@@ -188,7 +188,7 @@ def source_positions(
     width, height = size
     positions = np.empty((height, width, 2), np.float32)
     x = (np.arange(width) + 0.5 - pinhole[2]) / pinhole[0]
-    for top in range(0, height, BAND_ROWS):  # a lens model takes ten times the memory of its positions
+    for top in range(0, height, BAND_ROWS):  # a lens model needs ten times the memory of its positions
         y = (np.arange(top, min(top + BAND_ROWS, height)) + 0.5 - pinhole[3]) / pinhole[1]
         ideal = np.stack(np.meshgrid(x, y), axis=-1)
         positions[top : top + len(y)] = distortion.distort(ideal) * intrinsics[:2] + intrinsics[2:]

@@ -1,38 +1,38 @@
-"""Which frames of a video to keep: even in motion, and the sharpest among neighbors.
+"""Select video frames: evenly spaced in motion, and the sharpest among their neighbors.
 
 Motion and sharpness are measured on small gray copies, which is cheap.
 """
 
 import numpy as np
 
-# Frames are taken from this middle part of their bin, so that two neighbors are neither close nor far apart.
+# Frames are taken from this central part of their bin, so that neighbors are neither too close nor too far apart.
 MIDDLE = 0.6
-# A frame is blurred if its variance of the Laplacian is this many times below that of its neighbors.
+# A frame is blurred if its variance of the Laplacian is this many times smaller than that of its neighbors.
 BLURRED = 3.0
 NEIGHBORS = 5  # bins, or frames, on either side
-LONGEST_GAP = 3  # bins that may be left out in a row: a blurred frame is better than a track that breaks
-# Longer side in pixels of the copies that motion and sharpness are measured on: blur must still show, motion need not.
+LONGEST_GAP = 3  # maximum number of consecutive bins to skip: a blurred frame is better than a broken track
+# Longer side, in pixels, of the copies used to measure motion and sharpness: only the latter needs detail to show blur.
 MOTION_SIDE, SHARPNESS_SIDE = 192, 640
 WINDOW = 64
-TILES = 8  # a side
-# Height of a correlation's peak, of 1 for equal pictures, from which it is believed; noise alone reaches 0.15.
+TILES = 8  # per side
+# Minimum height of a reliable correlation peak, relative to that of equal images; noise alone reaches 0.15.
 TRUSTED = 0.3
-_BAND = 0.12  # cycles per pixel, standard deviation: noise is at high frequencies, and so is what blur removes
+_BAND = 0.12  # standard deviation, cycles per pixel: noise is at high frequencies, and so is what blur removes
 
 
 def chosen_frames(motion: np.ndarray, sharpness: np.ndarray, count: int) -> tuple[np.ndarray, int]:
     """Choose at most `count` frames.
 
-    The path is cut into `count` bins of equal motion, and the sharpest frame of each is taken. A bin that holds blurred
-    frames only, compared with the bins around it, is left out.
+    The path is divided into `count` bins of equal motion, and the sharpest frame of each is selected. Bins that contain
+    only blurred frames, compared with the bins around them, are skipped.
 
     Args:
-        motion: [n] the motion from the frame before; 0 for the first of a clip, NaN if unknown.
-        sharpness: [n] as by sharpness().
+        motion: [n], motion since the previous frame; 0 for the first of a clip, NaN if unknown.
+        sharpness: [n], from sharpness().
         count: Number of bins, at least 1.
 
     Returns:
-        The indices, increasing, and how many bins were left out as blurred.
+        The indices, increasing, and the number of bins skipped as blurred.
     """
     path = positions(motion, sharpness)
     total = path[-1] if len(path) else 0.0
@@ -46,7 +46,7 @@ def chosen_frames(motion: np.ndarray, sharpness: np.ndarray, count: int) -> tupl
         inside = np.flatnonzero(bins == number)
         middle = inside[central[inside]]
         candidate = _sharpest(middle if len(middle) else inside, sharpness)
-        # At the edge of a bin a frame is still better than a blurred one in its middle.
+        # A frame at the edge of a bin is still better than a blurred one in its middle.
         anywhere = _sharpest(inside, sharpness)
         if sharpness[anywhere] - sharpness[candidate] > np.log(BLURRED):
             candidate = anywhere
@@ -56,10 +56,10 @@ def chosen_frames(motion: np.ndarray, sharpness: np.ndarray, count: int) -> tupl
 
 
 def positions(motion: np.ndarray, sharpness: np.ndarray) -> np.ndarray:
-    """Return the motion [n] since the first frame.
+    """Return the cumulative motion [n] since the first frame.
 
-    What is unknown counts as the median of the frames around; so does motion between a sharp frame and a blurred one,
-    whose correlation peaks anywhere within the blur.
+    Unknown motion is replaced with the median of the frames around it, as is motion between a sharp and a blurred
+    frame, whose correlation may peak anywhere within the blur.
     """
     steps = np.abs(np.diff(sharpness, prepend=sharpness[:1]))
     known = np.isfinite(motion) & ((steps < np.log(BLURRED)) | (motion == 0))
@@ -87,10 +87,10 @@ def _blurred(values: np.ndarray) -> np.ndarray:
 
 
 def motion_between(one: np.ndarray, two: np.ndarray) -> float:
-    """Return the mean displacement between two frames as a share of the longer side.
+    """Return the mean displacement between two frames as a fraction of the longer side.
 
-    Windows that overlap by half are compared by phase correlation (Kuglin and Hines 1975), so that pans, rotations,
-    zooms and parallax all count; windows without a clear peak do not.
+    Half-overlapping windows are compared by phase correlation (Kuglin and Hines 1975), so that pans, rotations, zooms
+    and parallax all count; windows without a clear peak are ignored.
 
     Args:
         one: [h, w] uint8, MOTION_SIDE on its longer side.
@@ -126,7 +126,7 @@ def _places(side: int, window: int) -> list[int]:
 
 
 def _offset(line: np.ndarray, place: int) -> float:
-    """The signed position of a cyclic line's peak, to a fraction by a parabola through its neighbors."""
+    """Return the signed position of a cyclic line's peak, refined by a parabola through its neighbors."""
     before, here, after = line[place - 1], line[place], line[(place + 1) % len(line)]
     bend = before - 2 * here + after
     part = 0.5 * (before - after) / bend if bend < 0 else 0.0
@@ -136,7 +136,7 @@ def _offset(line: np.ndarray, place: int) -> float:
 def sharpness(gray: np.ndarray) -> float:
     """Return the sharpness of a frame: the mean over TILES x TILES tiles of log(1 + variance of the Laplacian).
 
-    By the logarithm no single highlight decides. Comparable between frames that show much the same.
+    The logarithm keeps a single highlight from dominating. Comparable between frames with similar content.
 
     Args:
         gray: [h, w] uint8, SHARPNESS_SIDE on its longer side.

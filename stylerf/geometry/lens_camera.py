@@ -1,4 +1,4 @@
-"""Cameras that see through a distorting lens: their rays are those of a photo's own pixels."""
+"""Cameras with lens distortion, whose rays are those of the original photo's pixels."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,28 +16,28 @@ class LensCamera(Camera):
     distortion: Distortion = Distortion()  # noqa: RUF009, frozen
 
     def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """As for a pinhole. A pixel that the lens model reaches from no direction gets the viewing axis."""
+        """See Camera.rays. Pixels to which the lens model maps no direction get the viewing axis."""
         points = np.nan_to_num(self.points().reshape(-1, 2)[slice(None) if pixels is None else pixels], nan=0.0)
         return self.rays_through(points[:, 0].astype(np.float64), points[:, 1].astype(np.float64))
 
     def ray_cosines(self) -> np.ndarray:
-        """As for a pinhole."""
+        """See Camera.ray_cosines."""
         points = np.nan_to_num(self.points(), nan=0.0)
         return (1.0 / np.sqrt(1.0 + np.square(points).sum(axis=-1))).astype(np.float32)
 
     def has_ray(self) -> np.ndarray:
-        """Return [height, width] bool: false where the lens model reaches a pixel from no direction."""
+        """Return [height, width] bool: false where the lens model maps no direction to a pixel."""
         return np.isfinite(self.points()).all(axis=-1)
 
     def points(self) -> np.ndarray:
-        """Return (X/Z, Y/Z) of each pixel, [height, width, 2] float32, NaN without a ray."""
+        """Return (X/Z, Y/Z) of each pixel, [height, width, 2] float32; NaN without a ray."""
         intrinsics = (self.fx, self.fy, self.cx, self.cy)
         return undistorted_points((self.width, self.height), intrinsics, self.distortion)
 
 
-@lru_cache(maxsize=1)  # the views of a capture mostly share a lens, and Newton's method takes a second per megapixel
+@lru_cache(maxsize=1)  # most views of a capture share a lens, and Newton's method takes a second per megapixel
 def undistorted_points(size: tuple[int, int], intrinsics: Intrinsics, distortion: Distortion) -> np.ndarray:
-    """Return (X/Z, Y/Z) of each pixel center of a distorted image, [height, width, 2] float32; NaN without any."""
+    """Return (X/Z, Y/Z) of each pixel center of a distorted image, [height, width, 2] float32; NaN without a ray."""
     (width, height), (fx, fy, cx, cy) = size, intrinsics
     points = np.empty((height, width, 2), np.float32)
     columns = (np.arange(width) + 0.5 - cx) / fx
@@ -51,13 +51,13 @@ def undistorted_points(size: tuple[int, int], intrinsics: Intrinsics, distortion
 
 
 def through_lens(camera: Camera, size: tuple[int, int], intrinsics: Intrinsics, distortion: Distortion) -> LensCamera:
-    """Return the camera of the distorted photo (width, height) that an undistorted `camera` was made from."""
+    """Return the camera of the distorted photo (width, height) from which an undistorted `camera` was made."""
     fx, fy, cx, cy = intrinsics
     return LensCamera(camera.name, *size, fx, fy, cx, cy, camera.world_from_camera, distortion)
 
 
 def at_size(camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera of the same view at another size (width, height), which need not have its aspect ratio."""
+    """Return the camera of the same view at another size (width, height), possibly with a different aspect ratio."""
     kx, ky = size[0] / camera.width, size[1] / camera.height
     return replace(
         camera, width=size[0], height=size[1], fx=camera.fx * kx, fy=camera.fy * ky, cx=camera.cx * kx,

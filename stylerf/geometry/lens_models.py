@@ -1,4 +1,4 @@
-"""Lens models besides Brown's and Kannala-Brandt's, as COLMAP parametrizes them: undistorted to distorted points.
+"""Lens models other than Brown's and Kannala-Brandt's, in COLMAP's parametrization: undistorted to distorted points.
 
 p: parameters after the focal lengths and the principal point. x, y: undistorted (X/Z, Y/Z); r^2 = x^2 + y^2.
 """
@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 Formula = Callable[[np.ndarray, tuple[float, ...]], np.ndarray]
-_CENTER = 1e-9  # below this radius a ratio of radii is 1 to rounding, or its limit
+_CENTER = 1e-9  # below this radius, a ratio of radii equals its limit up to rounding
 
 
 def fov(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
@@ -22,7 +22,7 @@ def fov(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
 
 
 def fov_inverse(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
-    """r = tan(w r') / (2 tan(w/2)); NaN from w r' = 90 degrees on."""
+    """r = tan(w r') / (2 tan(w/2)); NaN for w r' >= 90 degrees."""
     (w,) = p
     if abs(w) < _CENTER:
         return points
@@ -40,7 +40,7 @@ def division(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
 
 
 def division_inverse(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
-    """The same, from distorted points: a denominator of 0 is 90 degrees off the axis, below it is behind."""
+    """The inverse of division(): a denominator of 0 means 90 degrees off the axis, a negative one is behind it."""
     (k,) = p
     scale = 1 + k * _radius(points) ** 2
     return points / np.where(scale > _CENTER, scale, np.nan)
@@ -106,7 +106,7 @@ def rad_tan_thin_prism_fisheye(points: np.ndarray, p: tuple[float, ...]) -> np.n
 
 
 def tangent_of(points: np.ndarray, p: tuple[float, ...]) -> np.ndarray:
-    """Where Newton's method begins for the fisheyes: r' is nearly the angle, bounded below 90 degrees."""
+    """Initial guess of Newton's method for fisheyes: r' is nearly the angle, bounded below 90 degrees."""
     r = _radius(points)
     return points * np.where(r > _CENTER, np.tan(np.minimum(r, 1.45)) / np.maximum(r, _CENTER), 1.0)
 
@@ -120,7 +120,7 @@ def _equidistant(points: np.ndarray) -> np.ndarray:
     return points * np.where(r > _CENTER, np.arctan(r) / np.maximum(r, _CENTER), 1.0)
 
 
-# By kind: the formula, where its inverse begins (exact or near), and the number of parameters.
+# By kind: the formula, the initial guess of its inverse (exact or close), and the number of parameters.
 LENSES: dict[str, tuple[Formula, Formula, int]] = {
     "fov": (fov, fov_inverse, 1),
     "division": (division, division_inverse, 1),

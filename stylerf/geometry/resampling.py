@@ -1,6 +1,6 @@
-"""Downsampling of images by area averages.
+"""Downsample images by area averaging.
 
-sRGB code values are averaged without decoding, as in every benchmark of these scenes. Colors must be premultiplied, or
+sRGB code values are averaged without decoding, as in all benchmarks of these scenes. Colors must be premultiplied, or
 the colors of transparent pixels bleed into edges.
 """
 
@@ -8,9 +8,9 @@ import numpy as np
 
 
 def shrunk(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Downsample [h, w, c] float32 to size (width, height) by area averages.
+    """Downsample [h, w, c] float32 to size (width, height) by area averaging.
 
-    At integer factors each pixel is the mean of its block; otherwise pixels are weighted by the area covered.
+    For integer factors, each pixel is the mean of its block; otherwise pixels are weighted by the covered area.
     """
     height, width = pixels.shape[:2]
     if (width, height) == tuple(size):
@@ -23,10 +23,10 @@ def shrunk(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _area_weights(many: int, few: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels that each new pixel overlaps, and their weights, which sum to 1; [few, n] each."""
+    """Return the pixels that each new pixel overlaps, and their weights, which add up to 1; [few, n] each."""
     edges = np.arange(few + 1) * (many / few)
     low, high = edges[:-1, None], edges[1:, None]
-    # One more than the ratio: a new pixel need not begin at the edge of an old one.
+    # One more than the ratio, since a new pixel need not begin at the edge of an old one.
     cells = np.floor(low).astype(int) + np.arange(int(np.ceil(many / few)) + 1)
     overlap = np.clip(np.minimum(high, cells + 1) - np.maximum(low, cells), 0, None)
     return np.minimum(cells, many - 1), (overlap / overlap.sum(axis=1, keepdims=True)).astype(np.float32)
@@ -43,7 +43,7 @@ def _averaged(pixels: np.ndarray, cells: np.ndarray, weights: np.ndarray, axis: 
 
 
 def nearest(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Resample [h, w, ...] to size (width, height) by nearest neighbor."""
+    """Resample [h, w, ...] to size (width, height) with nearest-neighbor interpolation."""
     rows = ((np.arange(size[1]) + 0.5) * (values.shape[0] / size[1])).astype(int)
     columns = ((np.arange(size[0]) + 0.5) * (values.shape[1] / size[0])).astype(int)
     return values[rows][:, columns]

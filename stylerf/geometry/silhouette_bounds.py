@@ -1,4 +1,4 @@
-"""The bounding box of an object from its silhouettes: that of a coarse, conservative visual hull."""
+"""The bounding box of an object from its silhouettes, by a coarse, conservative visual hull."""
 
 import numpy as np
 
@@ -8,13 +8,13 @@ from stylerf.geometry.cameras import Camera
 CELLS = 64
 MARGIN_CELLS = 3  # around the hull, at the finest level
 _LONGEST_SIDE = 256
-_FAULTY_SHARE = 0.02  # fraction of silhouettes that may miss a part of the object: masks fail in single views
+_FAULTY_SHARE = 0.02  # fraction of silhouettes that may miss part of the object, since masks fail in single views
 _SHOWING_SHARE = 0.2  # fraction of views that must judge a cell: few views cannot rule out what others do not see
 _VIEWS_OF_FIRST_LEVELS = 20
 
 
 def silhouette(alpha: np.ndarray, threshold: float = 0.02) -> np.ndarray:
-    """Threshold alpha [h, w] and downsample it to sides of at most 256, keeping any set pixel of a block; bool."""
+    """Threshold alpha [h, w] and downsample it to sides of at most 256; a block is set if any pixel is; bool."""
     factor = _factor(*alpha.shape)
     height, width = (-(-side // factor) for side in alpha.shape)
     padded = np.zeros((height * factor, width * factor), bool)
@@ -29,22 +29,22 @@ def _factor(height: int, width: int) -> int:
 def hull_box(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray, levels: int = 3) -> np.ndarray:
     """Return the bounding box [2, 3] of the object's visual hull.
 
-    A view rules out a cell if the cell's whole footprint is background. Cells outside the image are ruled out only if
-    the silhouette does not touch the border. A cell is kept if a fifth of the views judge it and nearly none rule it
+    A view rules out a cell if the cell's entire footprint is background. Cells outside the image are ruled out only if
+    the silhouette does not touch the border. A cell is kept if a fifth of the views judge it and almost none rule it
     out.
 
     Args:
         cameras: The views.
-        silhouettes: Of each view, as from `silhouette`.
+        silhouettes: One per view, from silhouette().
         box: [2, 3], a box that contains the object.
-        levels: Number of refinements; each divides the box of the one before into CELLS^3.
+        levels: Number of refinements; each divides the previous box into CELLS^3.
 
     Raises:
-        InvalidValue: No cell is left; silhouettes and poses are inconsistent.
+        InvalidValue: No cell is left, because silhouettes and poses are inconsistent.
     """
     for level in range(levels):
         size = (box[1] - box[0]) / CELLS
-        # Fewer views give a larger hull, which is good enough until the last level, and faster.
+        # Fewer views give a larger hull, which is faster and good enough before the last level.
         stride = 1 if level == levels - 1 else max(1, len(cameras) // _VIEWS_OF_FIRST_LEVELS)
         kept = _kept(cameras[::stride], silhouettes[::stride], box, size)
         if not kept.any():
@@ -68,21 +68,21 @@ def _kept(cameras: list[Camera], silhouettes: list[np.ndarray], box: np.ndarray,
         pixels, depth = camera.project(centers[alive])
         pixels /= factor
         front = depth > 2 * radius
-        # Project the cell's bounding sphere; its nearer parts look larger than its center.
+        # Project the cell's bounding sphere, whose nearer parts appear larger than its center.
         slope = (pixels * factor - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         oblique = np.sqrt(1 + slope[:, 0] ** 2 + slope[:, 1] ** 2)
         reach = max(camera.fx, camera.fy) / factor * radius * oblique / np.where(front, depth - radius, 1.0)
         inside = front.copy()
         for axis, side in enumerate((camera.width, camera.height)):  # numpy is slow along an axis of two
             inside &= (pixels[:, axis] >= reach) & (pixels[:, axis] <= side / factor - reach)
-        # A silhouette that does not touch the border is complete, so everything outside the image is empty too.
+        # A silhouette that does not touch the border is complete, so everything outside the image is also empty.
         whole = not (mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
         judged = front if whole else inside
         empty = depth < -radius if whole else np.zeros(len(alive), bool)
         empty[judged] = ~_any_within(table, pixels[judged], reach[judged])
         seen[alive[judged | empty]] += 1
         against[alive[empty]] += 1
-        # Ruled out by more views than may be faulty: later views need not project these cells.
+        # Cells ruled out by more views than may be faulty need not be projected into later views.
         alive = alive[against[alive] <= allowed]
     kept = np.zeros(len(centers), bool)
     enough = seen[alive] >= max(1, len(cameras) * _SHOWING_SHARE)

@@ -1,6 +1,6 @@
 """Warps of scene space to the unit cube in which fields are defined.
 
-box: an axis-aligned box, for objects. contraction: linear inside a box, the rest of space contracted into a shell
+box: an axis-aligned box, for objects. contraction: linear inside a box, with the rest of space contracted into a shell
 around it (Barron et al. 2022, eq. 10, with the maximum norm, which fills the cube). frustum: normalized device
 coordinates of the mean camera (Mildenhall et al. 2020, appendix C), for forward-facing captures.
 """
@@ -16,19 +16,19 @@ from stylerf.errors import InvalidValue
 from stylerf.validation import LARGEST
 
 KINDS = ("box", "contraction", "frustum")
-# How far into a frustum a camera may be, in near depths, while its views start `near` from it, as in training: captures
-# show nothing nearer than 1 / FORWARD_NEAR of that depth (scene_normalization.py), and their own cameras stay behind.
+# How far a camera may be inside a frustum, in near depths, with its views still starting at `near`, as in training:
+# captures show nothing nearer than 1 / FORWARD_NEAR of it (scene_normalization.py), and their cameras stay behind.
 AHEAD = 0.25
 
 
 @dataclass(frozen=True)
 class SpaceWarp:
-    """A warp.
+    """A warp of scene space to the unit cube.
 
     Attributes:
         kind: One of KINDS.
-        parameters: 7 floats, as the kernels read them.
-        near, far: Bounds of marching, scene units; near counts from the camera, see view_start().
+        parameters: 7 floats, in the kernels' layout.
+        near, far: Range of ray marching, scene units; near is the distance from the camera, see view_start().
     """
 
     kind: str
@@ -38,7 +38,7 @@ class SpaceWarp:
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise InvalidValue(f"space kind {self.kind!r} is none of {', '.join(KINDS)}")
+            raise InvalidValue(f"unknown space kind {self.kind!r}; expected one of {', '.join(KINDS)}")
         if not (0 <= self.near < self.far <= LARGEST and np.abs(self.parameters).max() <= LARGEST):
             raise InvalidValue(f"space: near {self.near:g}, far {self.far:g} or a parameter is out of range")
         # Kernels divide by these in float32; the last parameter of a box is the mean of its three scales.
@@ -67,16 +67,16 @@ class SpaceWarp:
 
         Args:
             half_width, half_height: Half sides at z = 1.
-            near, far: Bounds of marching, scene units.
-            parallax: Parallax of the nearest point between views, baseline / near, which sets the resolution in depth;
-                0 for that of the sides.
+            near, far: Range of ray marching, scene units.
+            parallax: Parallax of the nearest point between views, baseline / near, which determines the depth
+                resolution; 0: the same as for the sides.
         """
         values = half_width, half_height, near, parallax, 0.0, 0.0, 0.0
         return SpaceWarp("frustum", tuple(float(value) for value in values), near, far)
 
     @property
     def code(self) -> int:
-        """The kind's number in the kernels."""
+        """The kind's code in the kernels."""
         return KINDS.index(self.kind)
 
     def packed(self) -> np.ndarray:
@@ -84,7 +84,7 @@ class SpaceWarp:
         return np.asarray(self.parameters, dtype=np.float32)
 
     def cells_per_axis(self, resolution: int) -> np.ndarray:
-        """Return the number of vertices on each axis, [3] int64: `resolution`^3 in total, evenly spaced.
+        """Return the number of vertices per axis, [3] int64: `resolution`^3 in total, evenly spaced.
 
         The sides of a frustum are measured in the image: its width, its height and the nearest point's parallax.
         """
@@ -100,9 +100,9 @@ class SpaceWarp:
         return np.maximum(8, np.round(sides)).astype(np.int64)
 
     def color_cells(self, resolution: int) -> np.ndarray:
-        """As cells_per_axis, for colors: in a frustum a third finer across and half as fine in depth.
+        """Return cells_per_axis() for colors: in a frustum, a third finer laterally and half as fine in depth.
 
-        Photos show detail across; in depth, the density already separates surfaces (decision 0055).
+        Photos show lateral detail; in depth, the density already separates surfaces (decision 0055).
         """
         across_and_depth = (4 / 3, 4 / 3, 1 / 2) if self.kind == "frustum" else (1, 1, 1)
         sides = np.round(self.cells_per_axis(resolution) * np.array(across_and_depth))
@@ -111,13 +111,13 @@ class SpaceWarp:
     def marching_step(self, resolution: int) -> float:
         """Return the marching step for a density of `resolution`^3, cube units.
 
-        A sample in each cell; in a frustum, which rays cross in depth, where it needs less detail than across, two
-        samples in three cells (decision 0059).
+        One sample per cell; in a frustum, which rays cross in depth, where less detail is needed than laterally, two
+        samples per three cells (decision 0059).
         """
         return (1.5 if self.kind == "frustum" else 1.0) / resolution
 
     def warp(self, points: np.ndarray) -> np.ndarray:
-        """Map world points [n, 3] to the unit cube in float64, as the reference for the kernels."""
+        """Map world points [n, 3] to the unit cube, float64: the reference for the kernels."""
         points = np.asarray(points, dtype=np.float64)
         p = self.parameters
         if self.kind == "frustum":
@@ -132,12 +132,12 @@ class SpaceWarp:
         local = (points - np.asarray(p[:3])) * np.asarray(p[3:6])
         if self.kind == "box":
             return np.clip(local, 0, 1)
-        # At 1 and below, (2 - 1/m)/m of the clamped m is 1: one formula for both sides of the box.
+        # With m clamped to at least 1, (2 - 1/m)/m is 1 inside the box: one formula for inside and outside.
         largest = np.maximum(np.abs(local).max(-1, keepdims=True), 1.0)
         return np.clip(0.5 + 0.25 * local * (2 - 1 / largest) / largest, 0, 1)
 
     def unwarp(self, cube: np.ndarray) -> np.ndarray:
-        """Map points of the open unit cube [n, 3] to world points, float64: the inverse of `warp`."""
+        """Map points of the open unit cube [n, 3] to world points, float64: the inverse of warp()."""
         cube = np.asarray(cube, dtype=np.float64)
         p = self.parameters
         if self.kind == "frustum":
@@ -153,18 +153,18 @@ class SpaceWarp:
         return np.asarray(p[:3]) + local / np.maximum(largest, 1e-12) * radius / np.asarray(p[3:6])
 
     def view_start(self, center: np.ndarray) -> float:
-        """Return the distance, scene units, at which the rays of a rendered view start. center: of its camera, [3].
+        """Return the distance, scene units, at which a rendered view's rays start. center: of its camera, [3].
 
-        It is `near`, except in a frustum whose camera has moved towards the near plane, or past it.
+        This is `near`, except in a frustum if the camera has moved towards or past the near plane.
         """
         ahead = float(center[2]) if self.kind == "frustum" else 0.0
         if ahead <= AHEAD * self.near:
             return self.near
-        return max(self.near - ahead, 1e-3 * self.near)  # not 0, which is the depth where nothing is seen
+        return max(self.near - ahead, 1e-3 * self.near)  # not 0, which marks empty depth
 
     @property
     def middle(self) -> float:
-        """Depth, scene units, in the middle between a camera and infinity where depth counts as t / (t + middle)."""
+        """Depth, scene units, half way from a camera to infinity when depth is measured as t / (t + middle)."""
         return self.parameters[2] if self.kind == "frustum" else 1.0
 
     def describe(self) -> dict[str, Any]:

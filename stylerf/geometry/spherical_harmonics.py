@@ -1,4 +1,4 @@
-"""Real spherical harmonics up to degree 2, in the order and with the signs usual for radiance fields."""
+"""Real spherical harmonics up to degree 2, with the order and signs customary for radiance fields."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ _C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 
 
 def harmonics(directions: np.ndarray, degree: int) -> np.ndarray:
-    """Evaluate the basis at unit vectors [n, 3]; [n, (degree + 1)^2] float32."""
+    """Return the basis at unit vectors [n, 3], [n, (degree + 1)^2] float32."""
     x, y, z = directions[:, 0], directions[:, 1], directions[:, 2]
     out = np.empty((len(directions), BANDS[degree]), np.float32)
     out[:, 0] = C0

@@ -1,8 +1,8 @@
-"""ST maps between a photo with lens distortion (the plate) and its undistorted picture.
+"""ST maps between a photo with lens distortion (the plate) and its undistorted image.
 
-A map holds, for each pixel of what it makes, where in what it is applied to the color comes from: u = x / width and
-v = 1 - y / height for a position (x, y) in pixels from the upper left corner, so that (0, 0) is the lower left corner
-and the center of the first pixel of the last row is (0.5 / width, 0.5 / height).
+For each pixel of the output image, a map holds the position in the input image that its color comes from: u = x / width
+and v = 1 - y / height for a position (x, y) in pixels from the top left corner, so (0, 0) is the bottom left corner and
+the center of the first pixel in the last row is (0.5 / width, 0.5 / height).
 """
 
 import numpy as np
@@ -11,11 +11,11 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.distortion import source_positions
 from stylerf.geometry.lens_camera import LensCamera
 
-NOWHERE = -1.0  # outside of every picture
+NOWHERE = -1.0  # outside any image
 
 
 def undistort_map(plate: LensCamera, pinhole: Camera) -> np.ndarray:
-    """Return the map that turns the plate into the pinhole's picture: [h, w, 2] float32 of the pinhole's size."""
+    """Return the map from the plate to the pinhole image: [h, w, 2] float32, of the pinhole's size."""
     positions = source_positions(
         (pinhole.width, pinhole.height),
         (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy),
@@ -26,10 +26,10 @@ def undistort_map(plate: LensCamera, pinhole: Camera) -> np.ndarray:
 
 
 def redistort_map(plate: LensCamera, pinhole: Camera) -> np.ndarray:
-    """Return the map that lays the pinhole's picture on the plate: [h, w, 2] float32 of the plate's size.
+    """Return the map from the pinhole image to the plate: [h, w, 2] float32, of the plate's size.
 
-    The pinhole shows a rectangle of the plate: near the plate's border values are outside 0..1, and NOWHERE where the
-    lens model reaches a pixel from no direction.
+    The pinhole shows a rectangle of the plate: near the plate's border, values are outside 0..1, and NOWHERE where the
+    lens model maps no direction to a pixel.
     """
     scale, center = np.array([[pinhole.fx, pinhole.fy], [pinhole.cx, pinhole.cy]], np.float32)
     positions = plate.points() * scale + center

@@ -1,7 +1,7 @@
-"""Compute kernels with exact, hand-written backwards: `cpu` holds the numba kernels, `gpu` the Triton ones.
+"""Compute kernels with exact, hand-written backward passes: `cpu` holds the numba kernels, `gpu` the Triton ones.
 
-Compiled kernels are cached where the user can write, so that only the first run on a machine compiles, also with a
-read-only install or in a container. Kernels in a folder that somebody else could have written to are not executed.
+Compiled kernels are cached in a user-writable folder, so that only the first run on a machine compiles, even for a
+read-only install or in a container. Kernels in a folder that other users can write to are never executed.
 """
 
 import atexit
@@ -20,7 +20,7 @@ _NAME = re.compile(r"[0-9a-f]{12}-[^/]+-[0-9a-f]{8}-[0-9]+")
 
 
 def kernel_cache_dir() -> Path:
-    """Return the folder of compiled kernels: one per state of their sources, kind of processor and user.
+    """Return the folder for compiled kernels, specific to the state of their sources, the processor type and the user.
 
     It is in $NUMBA_CACHE_DIR, else in $STYLERF_CACHE/kernels, else in the user's cache folder.
     """
@@ -35,11 +35,11 @@ def kernel_cache_dir() -> Path:
 
 
 def _name() -> str:
-    """Return a name that identifies all that the kernels are compiled from and for.
+    """Return a name that identifies everything that the kernels are compiled from and for.
 
-    numba checks the age of a kernel's own file only, and would take a kernel from the cache although another file,
-    whose function it inlines, has changed. Different processors that share a home folder would overwrite each other's
-    index, and users who share a folder must not execute each other's kernels.
+    numba checks only the age of a kernel's own file, and would load a stale kernel if another file changes whose
+    functions it inlines. Different processors with a shared home folder would overwrite each other's index, and users
+    with a shared folder must not execute each other's kernels.
     """
     digest = hashlib.sha256()
     for source in sorted((Path(__file__).parent / "cpu").glob("*.py")):
@@ -52,7 +52,7 @@ def refusal(folder: Path) -> str | None:
     """Return why compiled kernels cannot be kept in `folder`, or None if they can; creates a missing folder."""
     try:
         for parent in reversed([one for one in folder.absolute().parents if not one.exists()]):
-            parent.mkdir(mode=0o755, exist_ok=True)  # whatever the umask would let a group do
+            parent.mkdir(mode=0o755, exist_ok=True)  # regardless of the umask
         folder.mkdir(mode=0o700, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             why = not_ours(folder)
@@ -68,13 +68,13 @@ def _private() -> Path:
     return Path(folder)
 
 
-# numba reads this once, at its import, and every kernel module is imported through this package. not_kept and
-# triton_not_kept say why compiled kernels are lost with this process, or are None.
+# numba reads this once, when it is imported, and every kernel module is imported through this package. not_kept and
+# triton_not_kept are the reasons why compiled kernels are lost when this process ends, or None.
 _folder = kernel_cache_dir()
 if not_kept := refusal(_folder):
     _folder = _private() / _folder.name
 os.environ["NUMBA_CACHE_DIR"] = str(_folder)
-# Triton's cache is beside numba's unless the user has chosen another place; Triton hashes all sources by itself.
+# Triton's cache is next to numba's unless the user has configured another folder; Triton itself hashes all sources.
 if configured := os.environ.get("TRITON_CACHE_DIR"):
     _triton = Path(configured)
 elif configured := os.environ.get("TRITON_HOME"):
@@ -85,8 +85,8 @@ else:
 triton_not_kept = refusal(_triton) if _triton.exists() or not configured else None
 if triton_not_kept:
     os.environ["TRITON_CACHE_DIR"] = str(_private() / "triton")
-# numba would read .numba_config.yaml from the current folder, at its import and again before it compiles; that file may
-# be a stranger's.
+# numba would read .numba_config.yaml from the current folder, on import and again before compiling; that file may
+# belong to another user.
 with current_folder(Path(__file__).parent):
     import numba.core.config
 numba.core.config._config_fname = ""

@@ -1,4 +1,4 @@
-"""Deep views: what lies along the ray of each pixel, as a list of segments with color and alpha of their own."""
+"""Deep views: for each pixel, the segments along its ray, each with its own color and alpha."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from stylerf.rendering.rays import Rendered
 
 @dataclass(frozen=True, eq=False)
 class DeepView:
-    """The segments of a view, those of a pixel one after another, front to back, pixels row by row.
+    """The segments of a view, pixel by pixel in row-major order, front to back within a pixel.
 
     Attributes:
-        counts: [h, w], segments of each pixel.
-        z, z_back: [n], planar depth of begin and end, scene units.
-        rgb: [n, 3], sRGB-encoded, times weight.
-        weights: [n], the part of the pixel's alpha that the segment adds; they sum to alpha.
+        counts: [h, w], number of segments per pixel.
+        z, z_back: [n], planar depth of a segment's front and back, scene units.
+        rgb: [n, 3], sRGB-encoded, premultiplied by the weight.
+        weights: [n], the segment's contribution to its pixel's alpha; a pixel's weights add up to its alpha.
     """
 
     counts: np.ndarray
@@ -30,17 +30,17 @@ class DeepView:
 
 
 class DeepCollector:
-    """Collects the segments of a view batch by batch, as render_view renders it."""
+    """Collects the segments of a view, batch by batch, while render_view() renders it."""
 
     def __init__(self, field: RadianceField, camera: Camera, most: int, threads: int) -> None:
-        """most: segments of a pixel, at least 1."""
+        """most: maximum number of segments per pixel, at least 1."""
         self._field, self._camera, self._most, self._threads = field, camera, most, threads
         self._cosines, self._seen = camera.ray_cosines().reshape(-1), camera.has_ray().reshape(-1)
         self._counts = np.zeros(camera.width * camera.height, np.int64)
         self._parts: list[np.ndarray] = []
 
     def add(self, pixels: np.ndarray, rendered: Rendered) -> None:
-        """Add rendered pixels [n]; batches come in the order of the rows, their pixels in any."""
+        """Add rendered pixels [n]; batches must be in row order, pixels within a batch may be in any order."""
         counts = np.zeros(len(pixels), np.int64)
         found = np.empty((len(pixels), self._most, 6), np.float32)
         segments(
@@ -56,7 +56,7 @@ class DeepCollector:
         self._parts.append(kept)
 
     def view(self) -> DeepView:
-        """Return what has been added, in the field's own colors as its color map changes them."""
+        """Return all segments added so far, with the field's color map applied."""
         found = np.concatenate(self._parts)
         rgb, weights = found[:, 2:5], found[:, 5]
         if self._field.color_map is not None:

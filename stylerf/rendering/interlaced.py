@@ -1,4 +1,4 @@
-"""Views that sharpen while they are rendered: rays on a coarse grid first, the others between them later, each once."""
+"""Progressive rendering: rays on a coarse grid first, then those in between, each pixel once."""
 
 from collections.abc import Callable, Iterator
 
@@ -22,18 +22,18 @@ def render_pixels(
     arena: ScratchArena | None = None,
     distances: bool = True,
 ) -> np.ndarray:
-    """Render some pixels of a view, to the same bits as render_view.
+    """Render some pixels of a view, bit-identical to render_view().
 
     Args:
         pixels: [n] row-major indices.
-        min_transmittance: a ray ends once its transmittance falls below this.
+        min_transmittance: transmittance below which a ray terminates.
         marked: cells [s, s, s] bool of a region; None: no region.
-        arena: memory of the samples, reset here.
-        distances: whether surface distances are computed; 0 else.
+        arena: allocates the samples; reset here.
+        distances: whether to compute surface distances; 0 if not.
 
     Returns:
-        [n, 6] float32: premultiplied rgb (sRGB-encoded), alpha, surface distance (scene units), the part of alpha that
-        lies in marked cells.
+        [n, 6] float32: premultiplied rgb (sRGB-encoded), alpha, surface distance (scene units), the part of alpha
+        contributed by marked cells.
     """
     rendered = render_rays(
         field,
@@ -54,11 +54,11 @@ def render_pixels(
 
 
 def interlaced(width: int, height: int, coarsest: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield (stride, row-major pixels) of passes that together hold each pixel once.
+    """Yield (stride, row-major pixels) for each pass; together the passes cover each pixel once.
 
     Args:
-        coarsest: stride of the first pass, a power of two. Each pass halves it; its pixels are those on the grid of
-            its stride that no pass before held.
+        coarsest: stride of the first pass, a power of two. Each pass halves the stride and covers the pixels of its
+            grid that no earlier pass covered.
     """
     rows, columns = np.divmod(np.arange(width * height), width)
     stride = coarsest
@@ -71,7 +71,7 @@ def interlaced(width: int, height: int, coarsest: int) -> Iterator[tuple[int, np
 
 
 def spread_out(grid: np.ndarray, stride: int) -> np.ndarray:
-    """Fill an image [h, w, ...] from its pixels on the grid of a stride: each takes the next one up and left."""
+    """Fill an image [h, w, ...] from its pixels on a grid of the given stride; each copies the next one up and left."""
     if stride == 1:
         return grid
     height, width = grid.shape[:2]
@@ -79,12 +79,12 @@ def spread_out(grid: np.ndarray, stride: int) -> np.ndarray:
 
 
 def coarsest_within(count: int, most: float, strides: tuple[int, ...] = (1, 2, 4, 8)) -> int:
-    """Return the smallest stride whose grid has at most `most` of `count` pixels; the last one if none has."""
+    """Return the smallest stride that leaves at most `most` of `count` pixels, or the last one if none does."""
     return next((stride for stride in strides if count / stride**2 <= most), strides[-1])
 
 
 def in_batches(pixels: np.ndarray, size: int, stopped: Callable[[], bool]) -> Iterator[np.ndarray]:
-    """Yield parts of `pixels` of at most `size`, until stopped() is true."""
+    """Yield batches of at most `size` pixels until stopped() returns true."""
     for at in range(0, len(pixels), size):
         if stopped():
             return

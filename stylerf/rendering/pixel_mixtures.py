@@ -1,8 +1,8 @@
-"""Pixels as mixtures of palette colors, recolored at once: the mean mixture of each pixel instead of every sample's.
+"""Instant recoloring of rendered pixels as mixtures of palette colors, using a mean mixture per pixel.
 
-While an exact picture is rendered, the compositing weights also average what the colors are mixed of. Another palette
-changes a pixel by alpha u (c'(m) - c(m)): m its mean mixture, u the part of its light that is mixed, c and c' the
-colors of a mixture before and after. Clamps and turned hues act on the mean here, on each sample in the exact picture.
+While an exact image is rendered, the compositing weights also average the samples' mixtures. A new palette changes a
+pixel by alpha u (c'(m) - c(m)), with m its mean mixture, u the part of its light that is mixed, and c, c' the colors
+of a mixture before and after. Clamps and hue rotations act on the mean here, but on each sample in the exact image.
 """
 
 from typing import Any, Protocol, runtime_checkable
@@ -17,7 +17,7 @@ from stylerf.kernels.cpu.ray_samples import ShadingPoints
 
 @runtime_checkable
 class Mixing(Protocol):
-    """Colors that are mixed of a palette: PaletteColor, EditedColor."""
+    """Colors mixed from a palette: PaletteColor, EditedColor."""
 
     @property
     def degree(self) -> int: ...
@@ -35,10 +35,10 @@ class Mixing(Protocol):
 
 
 class MixtureRecorder:
-    """Colors of another part, whose mixtures it averages along each ray.
+    """Wraps a color part and averages its mixtures along each ray.
 
     Attributes:
-        means: [rays, mixture_width] of the last batch.
+        means: [rays, mixture_width], mean mixtures of the last batch.
         shares: [rays], part of each ray's light that is mixed, 0..1.
     """
 
@@ -51,7 +51,7 @@ class MixtureRecorder:
     def colors(
         self, points: ShadingPoints, basis: np.ndarray, threads: int, arena: ScratchArena | None = None
     ) -> np.ndarray:
-        """Return the other part's own colors."""
+        """Return the wrapped part's colors."""
         rays = len(points.ends)
         self.means, mixed = np.zeros((rays, self._color.mixture_width), np.float32), np.zeros(rays, np.float32)
 
@@ -70,7 +70,7 @@ class MixtureRecorder:
 
 
 def colors_of(color: Mixing, means: np.ndarray, color_map: ColorMap | None) -> np.ndarray:
-    """Return c(m) [n, 3] of mean mixtures [n, mixture_width], through a field's color map."""
+    """Return the colors c(m) [n, 3] of mean mixtures [n, mixture_width], with a field's color map applied."""
     colors = color.remixed(means)
     if color_map is None:
         return colors

@@ -1,8 +1,8 @@
-"""Ray registration: which pixels of a view see the surface that a reference view sees, and where in its picture.
+"""Ray registration: which pixels of a view see the same surface as a reference view, and where in its image.
 
-Ref-NPR (Zhang et al. 2023, section 3.2) stores the reference's points in a grid of 512^3 voxels, in which every other
-view looks its points up. Here a point is projected into the reference view and compared with the point seen at that
-pixel: the same test without a grid, so that the position in the picture is exact.
+Ref-NPR (Zhang et al. 2023, section 3.2) stores the reference's points in a grid of 512^3 voxels, where the other views
+look up their points. Here, a point is projected into the reference view and compared with the point seen at that
+pixel: the same test without a grid, so the position in the image is exact.
 """
 
 from collections.abc import Sequence
@@ -15,21 +15,21 @@ from stylerf.fields.radiance_field import RadianceField
 from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 
-TOLERANCE = 1 / 128  # of the unit cube; points farther apart are on different surfaces (or sides of one)
+TOLERANCE = 1 / 128  # of the unit cube; points farther apart are on different surfaces, or on different sides of one
 MIN_COSINE = 0.3  # between the two rays (Ref-NPR)
-SOLID = 0.5  # alpha from which a pixel sees a surface
-FEW_PIXELS = 2000  # per view, enough to estimate how much of it another view sees
+SOLID = 0.5  # minimum alpha for a pixel to see a surface
+FEW_PIXELS = 2000  # per view; enough to estimate how much of it another view sees
 
 
 @dataclass(frozen=True)
 class SeenPoints:
-    """The surface points seen by a view's pixels, row by row.
+    """The surface points seen by a view's pixels, in row-major order.
 
     Attributes:
         camera: the view.
-        points: [n, 3], world.
-        places: [n, 3], the same in the unit cube.
-        there: [n] bool, whether a pixel sees any surface.
+        points: [n, 3], world space.
+        places: [n, 3], the same points in the unit cube.
+        there: [n] bool, whether the pixel sees a surface.
     """
 
     camera: Camera
@@ -41,11 +41,11 @@ class SeenPoints:
 def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenPoints:
     """Return the surface point of each pixel: the weighted mean of the samples within TOLERANCE of the median.
 
-    The same definition as that of depth (decision 0032). For fields without a displacement.
+    Depth has the same definition (decision 0032). Only for fields without a displacement.
     """
     count = camera.height * camera.width
     starts, ends, x, weights = surface.samples(np.arange(count))
-    # Running sums over all pixels' samples, twice: first to find each pixel's median, then the mean around it.
+    # Two passes of cumulative sums over all samples: the first finds each pixel's median, the second its local mean.
     sums = np.zeros((len(x) + 1, 4))
     np.cumsum(weights, dtype=np.float64, out=sums[1:, 3])
     middle = np.searchsorted(sums[1:, 3], (sums[starts, 3] + sums[ends, 3]) / 2)
@@ -61,21 +61,21 @@ def points_of(surface: PackedSurface, camera: Camera, space: SpaceWarp) -> SeenP
 def registered(view: SeenPoints, reference: SeenPoints, tolerance: float = TOLERANCE) -> tuple[np.ndarray, ...]:
     """Register a view's pixels in a reference view.
 
-    A pixel is registered if its point projects into the reference's picture, the pixel there sees a point within
+    A pixel is registered if its point projects into the reference image, the pixel there sees a point within
     `tolerance` of it (cube units), and both rays see the same side (cosine >= MIN_COSINE).
 
     Returns:
-        (pixels [n] of the view, positions [n, 2] in the reference's picture, cosines [n] between the two rays).
+        (pixels [n] of the view, positions [n, 2] in the reference image, cosines [n] between the two rays).
     """
     camera = reference.camera
     pixels = np.flatnonzero(view.there)
     points = view.points[pixels]
     positions, depth = camera.project(points)
-    # Points near the camera's plane project to where a cast to integers is undefined.
+    # Points near the camera plane project so far away that a cast to integers would be undefined.
     columns, rows = np.floor(np.clip(positions, -1, 1e7)).astype(np.int64).T
     inside = (depth > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     at = np.where(inside, rows * camera.width + columns, 0)
-    # Interpolated between the reference's pixels, or the nearest one where a neighbor sees another surface.
+    # The interpolated point, or the nearest pixel's where a neighbor sees a different surface.
     seen = sampled_at(reference.places.reshape(camera.height, camera.width, 3), positions)
     apart = np.minimum(*(np.linalg.norm(view.places[pixels] - there, axis=1) for there in (seen, reference.places[at])))
     cosines = (_ways(points, view.camera) * _ways(points, camera)).sum(1)
@@ -115,7 +115,7 @@ def every(camera: Camera, stride: int) -> Camera:
 
 
 def best_reference(views: Sequence[SeenPoints]) -> int:
-    """Return the index of the view in which, on average, the largest part of the other views' pixels is registered."""
+    """Return the index of the view in which, on average, the largest fraction of the views' pixels is registered."""
     shares = []
     for candidate in views:
         found = [len(registered(other, candidate)[0]) / max(1, other.there.sum()) for other in views]
@@ -124,7 +124,7 @@ def best_reference(views: Sequence[SeenPoints]) -> int:
 
 
 def sampled_at(picture: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Sample a picture [h, w, c] at positions [n, 2] (x, y; pixel centers at halves), bilinearly, clamped: [n, c]."""
+    """Bilinearly sample an image [h, w, c] at positions [n, 2] (x, y; pixel centers at halves), clamped: [n, c]."""
     height, width = picture.shape[:2]
     x = np.clip(positions[:, 0] - 0.5, 0, width - 1)
     y = np.clip(positions[:, 1] - 0.5, 0, height - 1)

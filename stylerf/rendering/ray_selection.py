@@ -1,12 +1,12 @@
 """Ray selection: which rays of a view receive gradients in a stylization step.
 
-The style loss needs the whole picture, but the field need not learn from every ray of it:
+The style loss needs the whole image, but the field need not learn from all of its rays:
 
     full      all rays
-    deferred  all rays, rendered once without a graph and again in parts with the cached dL/d(picture) (ARF)
+    deferred  all rays, rendered once without a graph and again in parts with the cached dL/d(image) (ARF)
     dilated   every Nc-th ray along both axes, from a random offset (DeSRF, section 3.3)
-    random    as many random rays
-    patch     one window of as many rays (Chiang et al. 2022)
+    random    the same number of random rays
+    patch     one window with the same number of rays (Chiang et al. 2022)
 """
 
 import numpy as np
@@ -23,17 +23,17 @@ def selected_pixels(
     """Return the row-major indices [n] int64 of the selected pixels, ascending except for `random`.
 
     Raises:
-        InvalidValue: no such strategy.
+        InvalidValue: the strategy is unknown.
     """
     if strategy not in STRATEGIES:
-        raise InvalidValue(f"ray strategy {strategy!r} is none of {', '.join(STRATEGIES)}")
+        raise InvalidValue(f"unknown ray strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}")
     if strategy in ("full", "deferred") or dilation == 1:
         return np.arange(height * width)
     if strategy == "random":
         return generator.choice(height * width, max(1, height * width // dilation**2), replace=False)
     if strategy == "dilated":
-        # Offsets are drawn in proportion to their number of rows, so that no row is favored at sizes that dilation does
-        # not divide.
+        # Offsets are drawn in proportion to their number of rows, so that no row is favored if dilation does not divide
+        # the size.
         rows = np.arange(int(generator.integers(height)) % dilation, height, dilation)
         columns = np.arange(int(generator.integers(width)) % dilation, width, dilation)
     else:
@@ -45,18 +45,15 @@ def selected_pixels(
 
 
 def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np.ndarray:
-    """Return the gradient of the selected pixels, scaled to be the full gradient in expectation.
+    """Return the gradient of the selected pixels [n, 3], scaled to be the full gradient in expectation.
 
-    `patch` is biased per pixel: its windows cover the middle of the picture more often than the sides.
+    `patch` is biased per pixel: its windows cover the center of the image more often than its borders.
 
     Args:
-        gradient: dL/d(picture), [h, w, 3].
+        gradient: dL/d(image), [h, w, 3].
         pixels: [n], selected.
-        blur: odd side of a box filter applied first, 0 for none. Selected rays then carry their neighbors' gradients
-            too (DeSRF: 3), at the cost of the finest strokes.
-
-    Returns:
-        [n, 3].
+        blur: odd side length of a box filter applied first, 0 for none. Selected rays then also carry their neighbors'
+            gradients (DeSRF: 3), at the cost of the finest strokes.
     """
     height, width = gradient.shape[:2]
     if blur > 1 and len(pixels) < height * width:
@@ -69,7 +66,7 @@ def selected_gradient(gradient: np.ndarray, pixels: np.ndarray, blur: int) -> np
 def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, width: int, dilation: int) -> np.ndarray:
     """Interpolate the changes [n, k] of a dilated selection's pixels to all pixels, [h * w, k].
 
-    Rays that were not rendered again then follow what the field has learned since, except for the finest detail.
+    Pixels that were not rendered again then follow what the field has learned since, except for the finest detail.
     """
     top, left = divmod(int(pixels[0]), width)
     rows, columns = -(-(height - top) // dilation), -(-(width - left) // dilation)
@@ -80,9 +77,9 @@ def spread_over_picture(changes: np.ndarray, pixels: np.ndarray, height: int, wi
 
 
 def _stretched(lattice: np.ndarray, offset: int, length: int, dilation: int, axis: int) -> np.ndarray:
-    """Interpolate a lattice linearly along one axis to every pixel, clamped outside."""
+    """Interpolate a lattice linearly along one axis to every pixel, clamped at the ends."""
     at = np.clip((np.arange(length) - offset) / dilation, 0, lattice.shape[axis] - 1)
-    # max: a lattice of a single row has no second one to interpolate to.
+    # max: a single-row lattice has no second row to interpolate to.
     below = np.minimum(at.astype(np.int64), max(0, lattice.shape[axis] - 2))
     fraction = (at - below).astype(np.float32).reshape([-1 if a == axis else 1 for a in range(3)])
     above = np.minimum(below + 1, lattice.shape[axis] - 1)

@@ -1,4 +1,4 @@
-"""Rendering rays of a field, and the gradients back: march, color, composite."""
+"""Differentiable rendering of a field's rays: march, color, composite, and the backward pass."""
 
 from dataclasses import dataclass
 
@@ -26,16 +26,16 @@ from stylerf.kernels.cpu.regions import weights_inside, zero_outside
 
 @dataclass
 class Rendered:
-    """Rendered rays, with what backward() needs of them.
+    """Rendered rays, with everything that backward() needs.
 
     Attributes:
         out: [rays, 5]: premultiplied rgb (sRGB-encoded), alpha, sum of w t without the opaque background's share.
-        unmapped: out before the field's color map.
-        rays, samples: what was marched.
+        unmapped: `out` before the field's color map.
+        rays, samples: the marched rays and their samples.
         basis: [rays, bands], spherical harmonics of the directions.
-        colors: [n, 3] of the samples; -1 in the first channel where a sample has none; [0, 3] of a blend, which
+        colors: [n, 3], the samples' colors; -1 in the first channel of uncolored samples; [0, 3] for a blend, which
             cannot learn.
-        arena: where the samples' memory came from, and the gradients' comes from.
+        arena: allocates samples and gradients.
     """
 
     out: np.ndarray
@@ -59,14 +59,14 @@ def render_rays(
     """Render rays.
 
     Args:
-        threads: partitions of the rays; the result is the same to the bit for the same number.
-        min_transmittance: a ray ends once its transmittance falls below this.
-        weight_threshold: part of its ray's largest weight below which a sample takes the ray's mean color; the layers
-            of a blend have their own.
-        arena: memory of samples and colors, valid until its reset; None: new memory.
+        threads: partitions of the rays; results are bit-identical for the same number.
+        min_transmittance: transmittance below which a ray terminates.
+        weight_threshold: fraction of its ray's largest weight below which a sample gets the ray's mean color; the
+            layers of a blend have their own.
+        arena: allocates samples and colors, which are valid until its reset; None: new memory.
 
     Returns:
-        Rendered, its `out` in the field's own colors on no background.
+        Rendered, with `out` without a background.
     """
     samples = field.march(rays, SAMPLES_PER_RAY, min_transmittance, threads, arena)
     basis = harmonics(rays.directions, getattr(field.color, "degree", 0))
@@ -83,7 +83,7 @@ def render_rays(
 
 
 def with_surface_distance(rendered: Rendered, threads: int) -> np.ndarray:
-    """Return [rays, 5]: premultiplied rgb, alpha, distance of the visible surface (scene units, 0 where alpha is 0)."""
+    """Return [rays, 5]: premultiplied rgb, alpha, distance to the visible surface (scene units, 0 where alpha is 0)."""
     out = rendered.out.copy()
     surface_distance(rendered.samples, threads, out)
     return out
@@ -101,19 +101,19 @@ def backward(
     distortion: float = 0.0,
     density_within: np.ndarray | None = None,
 ) -> None:
-    """Add the parts' gradients to buffers [threads, parameters]; a buffer of None leaves its part out.
+    """Add the parts' gradients to buffers [threads, parameters]; parts whose buffer is None are skipped.
 
-    The field's color map is not differentiated: `gradients` are those of the colors before it.
+    The field's color map is not differentiated: `gradients` are with respect to the colors before it.
 
     Args:
-        field, rendered: as render_rays took and returned them.
+        field, rendered: argument and result of render_rays().
         gradients: dL/d(unmapped), [rays, 5].
-        density_to, color_to: buffers of the parts' values.
-        displacement_to: buffer of the displacement grid, [threads, 3 m^3].
-        near_scaling_distance: scene units; gradients of nearer samples are scaled by the square of their distance
-            relative to it. 0: no scaling.
-        distortion: weight of the sum of the rays' distortions (distortion_backward).
-        density_within: [s, s, s] bool, cells of the cube outside of which no density learns.
+        density_to, color_to: buffers for the parts' values.
+        displacement_to: buffer for the displacement grid, [threads, 3 m^3].
+        near_scaling_distance: scene units; gradients of nearer samples are scaled by (distance / this)^2. 0: no
+            scaling.
+        distortion: weight of the distortion loss, summed over rays (distortion_backward).
+        density_within: [s, s, s] bool, the only cells of the cube whose density learns; None: all.
     """
     samples, colors, arena = rendered.samples, rendered.colors, rendered.arena
     sigma_gradients = empty_array(samples.sigma.shape, arena)
@@ -142,7 +142,7 @@ def backward(
 
 
 def alpha_inside(marked: np.ndarray, samples: Samples, threads: int) -> np.ndarray:
-    """Return the sum of each ray's weights over samples in marked cells [s, s, s], [rays] float32."""
+    """Return the sum of each ray's weights over samples in marked cells [s, s, s] bool, [rays] float32."""
     out = np.zeros(len(samples.ends), np.float32)
     flat = np.ascontiguousarray(marked).reshape(-1)
     weights_inside(flat, marked.shape[0], samples.shading_points(), threads, out)
@@ -152,14 +152,14 @@ def alpha_inside(marked: np.ndarray, samples: Samples, threads: int) -> np.ndarr
 def composite_layers(
     color: BlendedColor, samples: Samples, directions: np.ndarray, threads: int, arena: ScratchArena | None = None
 ) -> np.ndarray:
-    """Composite samples of a blend: each layer by itself, as its own field would show it, then added up.
+    """Composite the samples of a blend layer by layer, each as its own field would render it, and add them up.
 
     Args:
-        color: its layers, each with the color map and the threshold of its own field.
-        samples: on rays.
-        directions: [rays, 3], unit.
+        color: the blend; each layer has the color map and the threshold of its own field.
+        samples: of the rays.
+        directions: [rays, 3], unit vectors.
         threads: partitions of the rays.
-        arena: where memory for samples comes from; None: new memory.
+        arena: allocates per-sample arrays; None: new memory.
 
     Returns:
         [rays, 5]: premultiplied rgb (sRGB-encoded), alpha, sum of w t without the opaque background's share.
@@ -169,7 +169,7 @@ def composite_layers(
     for layer, shares in color.shares(points, threads, arena):
         part = _composited(layer, shares, samples, directions, threads, arena)
         out[:, :3] += mapped(part, layer.color_map)[:, :3]
-        out[:, 4] = part[:, 4]  # the same of each
+        out[:, 4] = part[:, 4]  # the same for every layer
     alpha = np.empty(len(out), np.float32)
     weights_inside(EVERYWHERE.reshape(-1), 1, points, threads, alpha)
     out[:, 3] = alpha
@@ -179,7 +179,7 @@ def composite_layers(
 def _composited(
     layer: Layer, shares: np.ndarray, samples: Samples, directions: np.ndarray, threads: int, arena: ScratchArena | None
 ) -> np.ndarray:
-    """Return [rays, 5] of one layer, before its color map; its alpha is the share of the ray's that is the layer's."""
+    """Composite one layer, [rays, 5], before its color map; alpha is the layer's share of the ray's alpha."""
     visible, shown = empty_array(samples.weights.shape, arena), empty_array(samples.weights.shape, arena)
     visible_weights(samples, np.float32(layer.weight_threshold), threads, visible)
     keep_shared(visible, shares, samples.starts, samples.ends, threads, shown)
@@ -191,11 +191,11 @@ def _composited(
 
 
 def mapped(out: np.ndarray, color_map: ColorMap | None) -> np.ndarray:
-    """Return composited rays [rays, 5] with their colors mapped, and clamped to 0..alpha; unchanged without a map."""
+    """Return composited rays [rays, 5] with colors mapped and clamped to 0..alpha; unchanged without a map."""
     if color_map is None:
         return out
-    import torch  # takes more than a second, which fields without a color map need not wait for
+    import torch  # takes more than a second to import, and only fields with a color map need it
 
-    # Premultiplied colors lie in 0..alpha.
+    # Premultiplied colors are in 0..alpha.
     colors = color_map.premultiplied(torch.from_numpy(out[:, :3]), torch.from_numpy(out[:, 3]))
     return np.concatenate([np.clip(colors.numpy(), 0, out[:, 3:4]), out[:, 3:]], 1)

@@ -1,4 +1,4 @@
-"""Whole views of a field, and their depth and displacement as pictures."""
+"""Render whole views of a field; visualize their depth and displacement."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -23,8 +23,8 @@ class RenderedView:
         rgb: [h, w, 3], sRGB-encoded, premultiplied (sum of w c, no background).
         alpha: [h, w], 0..1.
         ray_distance: [h, w], along the ray to the visible surface (decision 0032), scene units, 0 where alpha is 0.
-        z: [h, w], the same along the viewing axis.
-        masks: by region, [h, w], the part of alpha that lies in it, 0..alpha.
+        z: [h, w], planar depth of the same point, along the viewing axis.
+        masks: [h, w] by region, its contribution to alpha, 0..alpha.
     """
 
     rgb: np.ndarray
@@ -48,11 +48,11 @@ def render_view(
     """Render every pixel center of a camera.
 
     Args:
-        min_transmittance: a ray ends once its transmittance falls below this.
-        rays_at_once: bounds memory.
-        regions: marked cells [s, s, s] bool by name; their masks come from the very samples of the picture.
-        on_rays: called with the number of rays done after each batch.
-        on_rendered: called with the pixels of each batch and their samples, which are gone when it returns.
+        min_transmittance: transmittance below which a ray terminates.
+        rays_at_once: batch size, which bounds memory.
+        regions: marked cells [s, s, s] bool by name; masks are computed from the same samples as the image.
+        on_rays: called after each batch with the number of rays done.
+        on_rendered: called with each batch's pixels and rendered samples, which are invalid after it returns.
     """
     count = camera.width * camera.height
     out = np.empty((count, 5), np.float32)
@@ -61,7 +61,7 @@ def render_view(
     arena = ScratchArena()
     for at in range(0, count, rays_at_once):
         pixels = np.arange(at, min(at + rays_at_once, count))
-        # Deal rows to the threads in turn: the upper half of a picture is often emptier than the lower.
+        # Distribute rows to threads round-robin: the upper half of an image is often emptier than the lower.
         pixels = pixels[np.argsort(pixels // camera.width % threads, kind="stable")]
         rays = Rays.of(*camera.rays(pixels), field.space.view_start(camera.center))
         rendered = render_rays(
@@ -70,7 +70,7 @@ def render_view(
             threads=threads,
             min_transmittance=min_transmittance,
             weight_threshold=field.weight_threshold,
-            arena=arena.reset(),  # nothing of the last batch is read any more
+            arena=arena.reset(),  # nothing of the last batch is used any more
         )
         out[pixels] = with_surface_distance(rendered, threads)
         for name, mask in inside.items():
@@ -85,7 +85,7 @@ def view_of(camera: Camera, out: np.ndarray, inside: Mapping[str, np.ndarray]) -
 
     Args:
         out: [pixels, 5]: premultiplied rgb, alpha, surface distance.
-        inside: by region, [pixels] part of alpha that lies in it.
+        inside: [pixels] by region, its contribution to alpha.
     """
     out = np.where(camera.has_ray()[..., None], out.reshape(camera.height, camera.width, 5), np.float32(0))
     alpha = np.clip(out[..., 3], 0, 1)
@@ -95,7 +95,7 @@ def view_of(camera: Camera, out: np.ndarray, inside: Mapping[str, np.ndarray]) -
 
 
 def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return planar depth [h, w] in viridis by inverse depth, near bright: [h, w, 3] uint8, black where empty."""
+    """Visualize planar depth [h, w] as inverse depth in viridis, near is bright: [h, w, 3] uint8, black where empty."""
     from stylerf.environment.matplotlib_defaults import colormaps
 
     seen = (alpha > 0.5) & (z > 0)
@@ -107,16 +107,16 @@ def depth_picture(z: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedView) -> np.ndarray:
-    """Return the displacement |D| of each pixel's surface in magma, black for none: [h, w, 3] uint8.
+    """Visualize the displacement |D| of each pixel's surface in magma, black for none: [h, w, 3] uint8.
 
-    The scale ends at the 99th percentile of visible surfaces.
+    The scale ends at the 99th percentile over visible surfaces.
     """
     from scipy.ndimage import map_coordinates
 
     from stylerf.environment.matplotlib_defaults import colormaps
 
     if (grid := field.displacement) is None:
-        raise InvalidValue("a field that is not displaced has no displacement to show")
+        raise InvalidValue("the field has no displacement to show")
     origins, directions = camera.rays()
     points = field.space.warp(origins + directions * seen.ray_distance.reshape(-1, 1))
     places = (points * (np.array(grid.shape[:3]) - 1)).T  # vertices span the cube, ends included
@@ -127,7 +127,7 @@ def displacement_picture(field: RadianceField, camera: Camera, seen: RenderedVie
 
 
 def sheet_of(rows: list[list[np.ndarray]], beside: np.ndarray, gap: int = 6) -> np.ndarray:
-    """Arrange pictures [h, w, 3] of one size in rows beside one as tall as all rows, at the left; 0..1, on white."""
+    """Arrange images [h, w, 3] of one size in rows, right of `beside`, which spans all rows; 0..1, on white."""
     height, width = rows[0][0].shape[:2]
     tall = len(rows) * (height + gap) - gap
     wide = round(beside.shape[1] * tall / beside.shape[0])

@@ -1,4 +1,4 @@
-"""Whole views of a field on a GPU."""
+"""Render whole views of a field on a GPU."""
 
 from collections.abc import Callable, Mapping
 
@@ -15,15 +15,15 @@ from stylerf.kernels.gpu.ray_samples import GpuRays
 from stylerf.rendering.view import RenderedView, view_of
 
 RAYS_AT_ONCE = 1 << 18
-# Half a step of an 8-bit picture: the most that half precision may change of a pixel.
+# Half a step of an 8-bit image: the largest change of a pixel allowed by half precision.
 TOLERANCE = 0.5 / 255
 TRIED_RAYS = 4096
 
 
 def rays_of(camera: Camera, number: Tensor) -> GpuRays:
-    """Return rays through the centers of pixels [n] (row-major), computed on the pixels' device."""
+    """Return rays through the centers of pixels [n] (row-major indices), computed on the pixels' device."""
     count, device = len(number), number.device
-    if isinstance(camera, LensCamera):  # its inverse has no closed form; the CPU keeps it for all frames of a lens
+    if isinstance(camera, LensCamera):  # its inverse has no closed form; the CPU caches it for all frames of a lens
         return GpuRays.of(*camera.rays(number.cpu().numpy()), device)
     x = ((number % camera.width).float() + 0.5 - camera.cx) / camera.fx
     y = ((number // camera.width).float() + 0.5 - camera.cy) / camera.fy
@@ -38,7 +38,7 @@ def rays_of(camera: Camera, number: Tensor) -> GpuRays:
 class GpuRenderer:
     """Renders a field on a GPU.
 
-    precision: of the tables; auto: half precision if it changes no pixel of a sample of the first view by more than
+    precision: of the tables; auto: half precision if that changes no tested pixel of the first view by more than
     TOLERANCE. `half` holds the choice, None before the first view.
     """
 
@@ -56,11 +56,11 @@ class GpuRenderer:
 
     @property
     def field(self) -> GpuField:
-        """The copy of the field that is rendered."""
+        """The copy of the field to render."""
         return self._fields[bool(self.half)]
 
     def choose(self, camera: Camera) -> None:
-        """Choose the precision by this view, if it has not been chosen yet."""
+        """Choose the precision on this view, unless already chosen."""
         if self.half is not None:
             return
         count = camera.width * camera.height
@@ -85,7 +85,7 @@ class GpuRenderer:
         """Render every pixel of a camera; see render_view() in rendering/view.py.
 
         Returns:
-            ([pixels, 5]: premultiplied rgb, alpha, surface distance; by region, [pixels]: alpha inside), on the device.
+            ([pixels, 5]: premultiplied rgb, alpha, surface distance; [pixels] by region: alpha inside), on the device.
         """
         self.choose(camera)
         marked = regions or {}
@@ -115,7 +115,7 @@ class GpuRenderer:
         regions: Mapping[str, np.ndarray] | None = None,
         on_rays: Callable[[int], None] = lambda done: None,
     ) -> RenderedView:
-        """Render a view as render_view() in rendering/view.py does."""
+        """Render a view; see render_view() in rendering/view.py."""
         marked = {
             name: torch.from_numpy(np.ascontiguousarray(cells)).to(self.device)
             for name, cells in (regions or {}).items()
@@ -125,7 +125,7 @@ class GpuRenderer:
 
 
 def alpha_inside(marked: Tensor, rendered: GpuRendered) -> Tensor:
-    """Return [rays]: the sum of each ray's weights over samples in marked cells [s, s, s] bool."""
+    """Return the sum of each ray's weights over samples in marked cells [s, s, s] bool, [rays]."""
     s, cells = rendered.samples, marked.shape[0]
     place = (s.x * cells).long().clamp(0, cells - 1)
     own = marked[place[:, 0], place[:, 1], place[:, 2]]

@@ -1,4 +1,4 @@
-"""Color matching: the affine map that gives one set of colors the mean and covariance of another.
+"""Color matching: the affine map that transfers the mean and covariance of one set of colors to another.
 
     A = V_s^(1/2) V_c^(-1/2),  b = mu_s - A mu_c,  x' = A x + b        (ARF; symmetric square roots)
 
@@ -17,20 +17,20 @@ from stylerf.srgb import LUMA
 from stylerf.style.transparency import shown_colors
 
 VARIANCE_FLOOR = 1e-8  # smallest eigenvalue of a covariance (ARF clamps its singular values likewise)
-SAMPLE = 200_000  # pixels that stand for all
-NOISE = (2 / 255) ** 2  # variance of the content below which it is noise of 8-bit photos
+SAMPLE = 200_000  # pixels that represent all
+NOISE = (2 / 255) ** 2  # variance below which the content's variation is noise of 8-bit photos
 
 
 def color_statistics(colors: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Return weighted mean [3] and covariance [3, 3] (divided by the sum of weights) of colors [n, 3], in float64."""
     if colors.dim() != 2 or colors.shape[1] != 3 or colors.shape[0] == 0:
         raise InvalidValue(f"expected colors [n, 3] with n > 0, found {tuple(colors.shape)}")
-    # The inverse root of a covariance amplifies rounding along its weakest axis.
+    # float64, because the inverse square root of a covariance amplifies rounding along its weakest axis.
     colors = colors.double()
     weights = torch.ones_like(colors[:, 0]) if weights is None else weights.double()
     total = weights.sum()
     if not (float(total) > 0 and torch.isfinite(colors).all()):
-        raise InvalidValue("colors must be finite and their weights not all 0")
+        raise InvalidValue("colors must be finite, and their weights not all 0")
     mean = (weights[:, None] * colors).sum(dim=0) / total
     centered = colors - mean
     return mean, (weights[:, None] * centered).T @ centered / total
@@ -50,8 +50,8 @@ def match_colors(
 ) -> ColorMap:
     """Return the map that gives the content the style's weighted mean and covariance, before clamping; float64, CPU.
 
-    Along directions in which the content varies less than NOISE, as in gray images, the match is only proportional, or
-    noise would turn into colors.
+    Along directions in which the content varies less than NOISE, as in gray images, the match is only proportional;
+    otherwise noise would turn into colors.
     """
     mean_c, covariance_c = color_statistics(content.cpu(), _on_cpu(content_weights))
     mean_s, covariance_s = color_statistics(style.cpu(), _on_cpu(style_weights))
@@ -61,9 +61,9 @@ def match_colors(
 
 
 def in_colors_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Give a style image [3 or 4, h, w] the weighted mean and covariance of sRGB colors [n, 3], keeping its strokes.
+    """Return a style image [3 or 4, h, w] with the weighted mean and covariance of sRGB colors [n, 3].
 
-    A fourth channel is alpha, which stays; what it hides does not count.
+    A fourth channel is alpha, which is unchanged; hidden pixels do not count.
     """
     matched = match_colors(shown_colors(style_image).flatten(1).T, colors, style_weights=weights).image(style_image[:3])
     return torch.cat([matched.float(), style_image[3:]])
@@ -72,8 +72,9 @@ def in_colors_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = N
 def in_brightness_of(style_image: Tensor, colors: Tensor, weights: Tensor | None = None) -> Tensor:
     """Return a style image [3 or 4, h, w] in gray, with the mean and variance of the brightness of sRGB colors [n, 3].
 
-    Brightness is the mean of the three channels, so that what learns from it keeps its hue (Gatys et al. 2016,
-    "Preserving color", luminance-only transfer). A fourth channel is alpha, which stays; what it hides does not count.
+    Brightness is the mean of the three channels, so that anything trained with it keeps its hue (Gatys et al. 2016,
+    "Preserving color", luminance-only transfer). A fourth channel is alpha, which is unchanged; hidden pixels do not
+    count.
     """
     gray = style_image[:3].mean(0, keepdim=True).expand(3, -1, -1)
     return in_colors_of(torch.cat([gray, style_image[3:]]), colors.mean(1, keepdim=True).expand(-1, 3), weights)
@@ -82,9 +83,9 @@ def in_brightness_of(style_image: Tensor, colors: Tensor, weights: Tensor | None
 def spread_at_least(style_image: Tensor, least: float) -> Tensor:
     """Return the style image [3, h, w] with a standard deviation of luma of at least `least` (0..0.25).
 
-    Exact matching to a uniform style image would remove all shading. What is missing is added in gray: d is alternately
-    added to and subtracted from pixels, which keeps the mean and adds d^2 to every entry of the covariance. Colors move
-    inwards first if that would leave 0..1.
+    Exact matching to a uniform style image would remove all shading. The missing variance is added in gray: d is
+    alternately added to and subtracted from pixels, which preserves the mean and adds d^2 to every entry of the
+    covariance. Colors are first clamped so that the result stays in 0..1.
     """
     if least <= 0:
         return style_image
@@ -110,8 +111,8 @@ def spread_at_most(
 
     Limits the gain along each principal axis of the content's colors; 0 for no limit. Where the style image varies
     more, its colors are contracted towards their mean by E D E^T, D_k = min(1, most sqrt(l_k / (E^T V E)_kk)), with E
-    the content's axes, l_k its variances and V the style image's covariance. The result may leave 0..1 slightly; use
-    its mean and covariance only.
+    the content's axes, l_k its variances and V the style image's covariance. The result may slightly exceed 0..1; use
+    only its mean and covariance.
     """
     if most <= 0:
         return style_image
@@ -127,9 +128,9 @@ def spread_at_most(
 
 
 def strokes_in(style_image: Tensor, least: float) -> float:
-    """Return how much texture a style image [3, h, w] has, 0..1: its standard deviation, rms over channels, / `least`.
+    """Return how much texture a style image [3, h, w] has: its standard deviation, rms over channels, / `least`; 0..1.
 
-    Features of a blank image are the same everywhere; matching them erases a scene's own features and adds noise.
+    Features of a blank image are the same everywhere; matching them erases a scene's features and adds noise.
     """
     if least <= 0:
         return 1.0
@@ -141,14 +142,14 @@ def strokes_in(style_image: Tensor, least: float) -> float:
 def pixels_of(
     images: Iterable[Tensor], most: int = SAMPLE, seed: int = 0, count: int | None = None
 ) -> tuple[Tensor, Tensor]:
-    """Sample colors [n, 3] and weights [n] of a set of images, the same fraction of each one's pixels that count.
+    """Sample colors [n, 3] and weights [n] from a set of images: the same fraction of each one's counted pixels.
 
     Args:
-        images: [3 or 4, h, w] each; a fourth channel is straight alpha, which becomes the weight. Pixels of alpha 0 do
-            not count. Iterated over once.
-        most: Approximate limit of the sample.
+        images: [3 or 4, h, w] each; a fourth channel is straight alpha, which becomes the weight. Pixels with alpha 0
+            are not counted. Iterated over once if `count` is given, else twice.
+        most: Approximate maximum size of the sample.
         seed: Of the sample.
-        count: Pixels that count of all images together; needed for an iterator.
+        count: Total number of counted pixels in all images; required for an iterator.
     """
     if count is None:
         count = sum(len(_counting(image)) for image in images)
@@ -164,9 +165,9 @@ def pixels_of(
 
 
 def sample_of(image: Tensor, most: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Sample colors [n, 3] and weights [n], n <= most, of one image; weights sum to about those of all its pixels.
+    """Sample colors [n, 3] and weights [n], n <= most, from one image; weights add up to about those of all its pixels.
 
-    So samples of images that are seen one by one can be joined. Arguments as for pixels_of.
+    Samples of several images can therefore be concatenated. Arguments as for pixels_of().
     """
     flat = _counting(image)
     sample = _drawn(flat, most, generator) if len(flat) > most else flat
@@ -174,7 +175,7 @@ def sample_of(image: Tensor, most: int, generator: torch.Generator) -> tuple[Ten
 
 
 def _counting(image: Tensor) -> Tensor:
-    """Return (color, weight) [n, 4] of an image's pixels of positive weight; see pixels_of."""
+    """Return (color, weight) [n, 4] of an image's pixels with positive weight; see pixels_of()."""
     flat = image.flatten(1).T.cpu()
     if flat.shape[1] == 3:
         return torch.cat([flat, torch.ones_like(flat[:, :1])], 1)
@@ -182,7 +183,7 @@ def _counting(image: Tensor) -> Tensor:
 
 
 def _drawn(rows: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """Return `count` random rows, with repetition."""
+    """Return `count` random rows, drawn with replacement."""
     return rows[torch.randint(len(rows), (count,), generator=generator)]
 
 

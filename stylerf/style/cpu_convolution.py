@@ -1,8 +1,8 @@
-"""3x3 convolutions with ReLU, and 2x2 maxima, on the CPU, for frozen weights: gradients flow to the image only.
+"""3x3 convolutions with ReLU, and 2x2 max pooling, on the CPU with frozen weights: gradients flow only to the image.
 
-The convolutions are NNPACK's Winograd transforms, which PyTorch ships and uses by itself for batches alone: a quarter
-of a direct convolution's multiplications. Features and their gradient take half to two thirds of the time that they
-take by oneDNN's direct convolutions (benchmarks/results/extractor.json).
+The convolutions use NNPACK's Winograd transforms, which PyTorch ships but by default uses only for batches: a quarter
+of a direct convolution's multiplications. Features and their gradient take half to two thirds of the time of oneDNN's
+direct convolutions (benchmarks/results/extractor.json).
 """
 
 from functools import cache
@@ -22,8 +22,8 @@ class FrozenConvolution(NamedTuple):
     Attributes:
         weight: [out, in, 3, 3].
         bias: [out].
-        transposed: [in, out, 3, 3], flipped: the convolution that takes gradients back.
-        none: Zeros [in], the bias of that.
+        transposed: [in, out, 3, 3], flipped: the convolution of the backward pass.
+        none: Zeros [in], the bias of that convolution.
     """
 
     weight: Tensor
@@ -33,19 +33,19 @@ class FrozenConvolution(NamedTuple):
 
 
 def frozen(weight: Tensor, bias: Tensor) -> FrozenConvolution:
-    """Prepare a convolution of weight [out, in, 3, 3] and bias [out]."""
+    """Prepare a convolution with weight [out, in, 3, 3] and bias [out]."""
     transposed = weight.flip(2, 3).transpose(0, 1).contiguous()
     return FrozenConvolution(weight.contiguous(), bias, transposed, torch.zeros(weight.shape[1]))
 
 
 @cache
 def winograd_available() -> bool:
-    """Whether this build of PyTorch has NNPACK, and this processor runs it. The check also initializes NNPACK."""
+    """Whether this build of PyTorch has NNPACK and this processor supports it. The check also initializes NNPACK."""
     return bool(torch._nnpack_available())
 
 
 def convolve_relu(image: Tensor, layer: FrozenConvolution) -> Tensor:
-    """Return relu(convolution of image [1, c, h, w], zero-padded by one pixel), [1, out, h, w]."""
+    """Return relu(convolution of image [1, c, h, w]), zero-padded by one pixel, [1, out, h, w]."""
     return _ConvolveRelu.apply(image, layer)
 
 
@@ -65,14 +65,14 @@ class _ConvolveRelu(torch.autograd.Function):
 
 
 def _convolve(image: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-    # The transforms of a few channels cost more than they save.
+    # With few channels, the transforms cost more than they save.
     if min(weight.shape[:2]) < 16:
         return F.conv2d(image, weight, bias, padding=1)
     return torch._nnpack_spatial_convolution(image, weight, bias, padding=1)
 
 
 def max_pool_of_relu(features: Tensor, ceil: bool) -> Tensor:
-    """Return the 2x2 maxima at stride 2 of features [1, c, h, w] >= 0; ceil: odd sizes are rounded up, else down."""
+    """Return 2x2 max pooling with stride 2 of features [1, c, h, w] >= 0; ceil: round odd sizes up, else down."""
     return _MaxPool.apply(features, ceil)
 
 

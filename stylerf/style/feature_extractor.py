@@ -1,8 +1,8 @@
-"""Feature extractors: VGG-16, and the first blocks of VGG-19, cut at the deepest layer needed, with frozen weights.
+"""Feature extractors: VGG-16 and the first blocks of VGG-19, cut after the deepest layer needed, with frozen weights.
 
 An extractor maps sRGB images 0..1 to the ReLU outputs of named layers: conv3_2 is the second convolution of the third
 block. Every architecture is a chain of 3x3 convolutions, each followed by a ReLU, with 2x downsampling between blocks.
-Sources of weights differ in the scaling of the input, the padding, and the downsampling.
+Sources of weights differ in input scaling, padding and downsampling.
 
 Weights are a flat dictionary: `conv1_1.weight` [out, in, 3, 3] and `conv1_1.bias` [out] float32, input channels in RGB
 order, and `input.scale`, `input.shift` [3]: the network's input is scale * rgb + shift.
@@ -25,7 +25,7 @@ BLUR_KERNEL = (1.0, 2.0, 1.0)  # binomial filter of shift-tolerant downsampling
 
 @dataclass(frozen=True)
 class Architecture:
-    """How an extractor differs from others but for its weights.
+    """How an extractor differs from others, apart from its weights.
 
     Attributes:
         padding: "zeros" or "reflect", before each 3x3 convolution.
@@ -49,7 +49,7 @@ ARCHITECTURES = {
 def layers_of(names: str | Iterable[str]) -> tuple[str, ...]:
     """Parse names of layers ("conv3_1,conv3_2") and of blocks ("conv3" for all its layers), or a sequence of them.
 
-    Returns layers in network order, without repeats. Raises InvalidValue for an unknown name.
+    Returns layers in network order, without duplicates. Raises InvalidValue for an unknown name.
     """
     parts = [part.strip() for part in names.split(",")] if isinstance(names, str) else list(names)
     wanted = set()
@@ -64,17 +64,17 @@ def layers_of(names: str | Iterable[str]) -> tuple[str, ...]:
 class FeatureExtractor(nn.Module):
     """A frozen chain of convolutions that returns the ReLU outputs of some of its layers, in network order.
 
-    Ends at the deepest of them. Gradients flow to the image only. Single images on the CPU are convolved by Winograd's
-    transforms (see cpu_convolution.py). Elsewhere weights and activations are channels-last, which oneDNN runs 1.2 to
+    It ends at the deepest of them. Gradients flow only to the image. Single images on the CPU are convolved by Winograd
+    transforms (see cpu_convolution.py). Otherwise, weights and activations are channels-last, which oneDNN runs 1.2 to
     1.4 times faster (measured at 252x189 and 504x378, two threads).
 
     Args:
-        state: Weights, in the module's format.
-        layers: Layers to return, as `layers_of` takes them.
+        state: Weights in this module's format.
+        layers: Layers to return; see layers_of().
         architecture: One of ARCHITECTURES.
 
     Attributes:
-        winograd: Whether it may use them.
+        winograd: Whether Winograd transforms may be used.
     """
 
     input_scale: Tensor
@@ -84,7 +84,7 @@ class FeatureExtractor(nn.Module):
     def __init__(self, state: Mapping[str, Tensor], layers: str | Iterable[str], architecture: str = "vgg16") -> None:
         super().__init__()
         if architecture not in ARCHITECTURES:
-            raise InvalidValue(f"expected a feature extractor among {', '.join(ARCHITECTURES)}, found {architecture!r}")
+            raise InvalidValue(f"unknown feature extractor {architecture!r}; known: {', '.join(ARCHITECTURES)}")
         self.layers = layers_of(layers)
         self.architecture = ARCHITECTURES[architecture]
         self.built = LAYERS[: LAYERS.index(self.layers[-1]) + 1]
@@ -109,16 +109,16 @@ class FeatureExtractor(nn.Module):
 
     @property
     def stride(self) -> int:
-        """Pixels between neighboring positions of the deepest layer."""
+        """Stride of the deepest layer, pixels."""
         return int(2 ** (int(self.layers[-1][4]) - 1))
 
     @property
     def radius(self) -> int:
-        """Pixels around a position that the deepest layer sees, at most."""
+        """Radius of the deepest layer's receptive field, pixels (upper bound)."""
         return self.radius_of(self.layers[-1])
 
     def radius_of(self, layer: str) -> int:
-        """Pixels around a position that a layer sees, at most."""
+        """Return the radius of a layer's receptive field, pixels (upper bound)."""
         radius, apart = 0, 1  # apart: pixels between positions
         for one in LAYERS[: LAYERS.index(layer) + 1]:
             if one.endswith("_1") and one != "conv1_1":
@@ -128,7 +128,7 @@ class FeatureExtractor(nn.Module):
         return radius
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Return one feature map [n, c, h', w'] >= 0 for each layer, in network order, of sRGB images [n, 3, h, w].
+        """Return one feature map [n, c, h', w'] >= 0 per layer, in network order, for sRGB images [n, 3, h, w].
 
         Images are 0..1 but not clamped. Raises InvalidValue if they are too small for the deepest layer.
         """
@@ -136,7 +136,7 @@ class FeatureExtractor(nn.Module):
             raise InvalidValue(f"expected images [n, 3, height, width], found {tuple(image.shape)}")
         if min(image.shape[2:]) < 2 * self.stride:
             raise InvalidValue(
-                f"{self.layers[-1]} needs images of at least {2 * self.stride} pixels a side, "
+                f"{self.layers[-1]} needs images of at least {2 * self.stride} pixels per side, "
                 f"found {image.shape[3]}x{image.shape[2]}"
             )
         hidden = image * self.input_scale + self.input_shift
@@ -145,7 +145,7 @@ class FeatureExtractor(nn.Module):
         hidden = hidden.contiguous(memory_format=torch.channels_last)
         found = []
         for layer in self.built:
-            # Pooling belongs to the next block: a layer's output is taken before it.
+            # Pooling belongs to the next block: a layer's output comes before it.
             if layer.endswith("_1") and layer != "conv1_1":
                 hidden = self._pool(hidden)
             hidden = self._convolve(hidden, layer)
@@ -178,7 +178,7 @@ class FeatureExtractor(nn.Module):
             hidden = F.conv2d(F.pad(hidden, (1, 1, 1, 1), mode="reflect"), weight, bias)
         else:
             hidden = F.conv2d(hidden, weight, bias, padding=1)
-        # In place, since autograd needs only the ReLU's result; the sum before it would double the memory.
+        # In place, since autograd needs only the ReLU's result; keeping its input would double the memory.
         return F.relu(hidden, inplace=True)
 
     def _pool(self, hidden: Tensor) -> Tensor:
@@ -188,7 +188,7 @@ class FeatureExtractor(nn.Module):
 
 
 def blur_pool(hidden: Tensor, kernel: Tensor) -> Tensor:
-    """Filter each channel of [n, c, h, w] by `kernel` [k, k] at stride 2, with reflection padding of 2."""
+    """Filter each channel of [n, c, h, w] by `kernel` [k, k] with stride 2 and a reflection padding of 2."""
     channels = hidden.shape[1]
     weight = kernel.to(hidden.dtype).expand(channels, 1, *kernel.shape)
     padded = F.pad(hidden, (2, 2, 2, 2), mode="reflect")
@@ -198,7 +198,7 @@ def blur_pool(hidden: Tensor, kernel: Tensor) -> Tensor:
 def features(extractor: FeatureExtractor, image: Tensor, half_precision: torch.dtype | None = None) -> list[Tensor]:
     """Return `extractor(image)` as float32, computed on CUDA under autocast to `half_precision` if given.
 
-    Not on the CPU, where half precision is mostly emulated and slower.
+    Ignored on the CPU, where half precision is mostly emulated and slower.
     """
     if half_precision is None or image.device.type != "cuda":
         return list(extractor(image))
@@ -207,7 +207,7 @@ def features(extractor: FeatureExtractor, image: Tensor, half_precision: torch.d
 
 
 def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tensor]:
-    """Concatenate features [1, c, h, w] of layers in one block along channels (ARF): {"conv3": [sum c, h, w], ...}."""
+    """Concatenate features [1, c, h, w] of each block's layers along channels (ARF): {"conv3": [sum c, h, w], ...}."""
     blocks: dict[str, list[Tensor]] = {}
     for layer, feature in zip(layers, features, strict=True):
         blocks.setdefault(layer.split("_")[0], []).append(feature[0])
@@ -215,7 +215,7 @@ def by_block(layers: tuple[str, ...], features: list[Tensor]) -> dict[str, Tenso
 
 
 def resized(image: Tensor, height: int, width: int) -> Tensor:
-    """Resize an image [c, h, w] by antialiased bilinear interpolation, on sRGB values, as the papers do."""
+    """Resize an image [c, h, w] by antialiased bilinear interpolation of sRGB values, as the papers do."""
     if height < 1 or width < 1:
         raise InvalidValue(f"an image of {width}x{height} pixels is empty")
     if image.shape[1:] == (height, width):
@@ -224,7 +224,7 @@ def resized(image: Tensor, height: int, width: int) -> Tensor:
 
 
 def fitted(image: Tensor, long_side: int) -> Tensor:
-    """Scale an image [c, h, w] so that its longer side has `long_side` pixels, keeping its proportions."""
+    """Scale an image [c, h, w] so that its longer side has `long_side` pixels, preserving the aspect ratio."""
     height, width = image.shape[1:]
     factor = long_side / max(height, width)
     return resized(image, max(1, round(height * factor)), max(1, round(width * factor)))

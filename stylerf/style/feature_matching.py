@@ -1,4 +1,4 @@
-"""Nearest style feature of every position, by cosine similarity, in bounded memory.
+"""Nearest-neighbor search for the style feature of every position, by cosine similarity, in bounded memory.
 
 Symbols: f content rows [n, c], s style rows [m, c] of unit length, j(i) = argmax_j <f_i, s_j> / |f_i|.
 """
@@ -10,12 +10,12 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 
-NORM_FLOOR = 1e-8  # added to every norm (ARF), so that all-zero features have cosine 0 with everything, not NaN
+NORM_FLOOR = 1e-8  # added to every norm (ARF), so that all-zero features have cosine 0 instead of NaN
 STYLE_BLOCK = 4096  # style rows compared at once; a running maximum avoids the full matrix
 
 
 def unit_rows(rows: Tensor) -> Tensor:
-    """Divide rows [n, c] by their norm + 1e-8; a zero row stays zero and has a zero gradient."""
+    """Return rows [n, c] divided by their norm + 1e-8; a zero row stays zero and has a zero gradient."""
     return rows / (torch.linalg.vector_norm(rows, dim=1, keepdim=True) + NORM_FLOOR)
 
 
@@ -26,15 +26,15 @@ def nearest(
     memory_mb: float = 64.0,
     half: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Find the style row of largest cosine similarity, without gradients. Ties go to the first row.
+    """Find the style row with the largest cosine similarity, without gradients. Ties go to the first row.
 
     Args:
         style: Rows of unit length.
-        memory_mb: Limit of the similarities held at a time.
-        half: On CUDA, compare in float16, whose steps at unit length are an eighth of bfloat16's 0.004.
+        memory_mb: Memory limit for similarities.
+        half: On CUDA, compare in float16, whose spacing near 1 is an eighth of bfloat16's 0.004.
 
     Returns:
-        Index [n] of the style row, and its cosine [n], rounded with `half`.
+        Index [n] of the style row, and its cosine [n], which is rounded if `half`.
     """
     if content.dim() != 2 or style.dim() != 2 or content.shape[1] != style.shape[1] or style.shape[0] == 0:
         raise InvalidValue(
@@ -52,7 +52,7 @@ def nearest(
         part = slice(start, start + rows)
         for first in range(0, style.shape[0], block):
             value, place = (queries[part] @ style[first : first + block].T).max(dim=1)
-            # Strictly: ties go to the first row, whatever the block size.
+            # Strictly greater: ties go to the first row for any block size.
             better = value > best[part]
             best[part] = torch.where(better, value, best[part])
             index[part] = torch.where(better, place + first, index[part])
@@ -61,11 +61,11 @@ def nearest(
 
 @dataclass(frozen=True)
 class StyleRows:
-    """Features of the style image in one block, of unit length, computed once.
+    """The style image's features of one block, normalized, computed once.
 
     Attributes:
         rows: [m, c].
-        basis: [c, r] orthonormal directions to search in (see `with_basis`), or None.
+        basis: [c, r], orthonormal directions to search in (see with_basis()), or None.
         short: rows @ basis, [m, r].
     """
 
@@ -74,27 +74,27 @@ class StyleRows:
     short: Tensor | None = None
 
     def match(self, content: Tensor, memory_mb: float = 64.0, half: bool = False) -> Tensor:  # [n] index
-        """Return j(i) for content rows [n, c]: exact without a basis, else the best in the basis' directions."""
+        """Return j(i) for content rows [n, c]: exact without a basis, else the best within its subspace."""
         if self.basis is None or self.short is None:
             return nearest(content, self.rows, memory_mb, half)[0]
-        # The argmax does not depend on the query's norm, so the projected query needs no rescaling.
+        # The argmax is independent of the query's norm, so the projected query needs no rescaling.
         return nearest(content.detach() @ self.basis, self.short, memory_mb, half)[0]
 
     def with_basis(self, rank: int) -> "StyleRows":
         """Return these rows with a search in the `rank` leading directions of their second moment: c/rank times faster.
 
-        <f, s> loses the part of s outside these directions.
+        <f, s> ignores the component of s outside this subspace.
         """
         if not 1 <= rank <= self.rows.shape[1]:
             raise InvalidValue(f"expected a rank from 1 to {self.rows.shape[1]}, found {rank}")
-        # Uncentered: inner products are to be kept, not variances.
+        # Uncentered, to preserve inner products rather than variances.
         moment = self.rows.double().T @ self.rows.double()
         basis = torch.linalg.eigh(moment).eigenvectors[:, -rank:].flip(1).to(self.rows.dtype).contiguous()
         return replace(self, basis=basis, short=(self.rows @ basis).contiguous())
 
 
 def style_rows(features: Tensor, most: int | None = 4096, seed: int = 0) -> StyleRows:
-    """Return unit rows of a style image's features [c, h, w]: a random subset of `most`, or all if that is None."""
+    """Return unit rows of a style image's features [c, h, w]: a random subset of `most`, or all if None."""
     rows = unit_rows(rows_of(features.detach()))
     if most is not None and rows.shape[0] > most:
         rows = sample(rows, most, seed)
@@ -107,6 +107,6 @@ def rows_of(features: Tensor) -> Tensor:
 
 
 def sample(rows: Tensor, count: int, seed: int) -> Tensor:
-    """Draw `count` rows of [m, c] without replacement, in their order; always on the CPU, for equal results."""
+    """Draw `count` rows of [m, c] without replacement, in order; always on the CPU, for identical results."""
     chosen = torch.randperm(rows.shape[0], generator=torch.Generator().manual_seed(seed))[:count].sort().values
     return rows[chosen.to(rows.device)]

@@ -1,9 +1,9 @@
-"""Frames of scanned paintings: bands along the sides, uniform along each side, that end in a straight edge.
+"""Detect frames of scanned paintings: bands along the sides, uniform along each side, that end in a straight edge.
 
-Rows, below, are the lines parallel to a side, counted from it. A row is uniform if its colors, but for a linear trend,
-vary little; so a band may be shaded across (a profile) and along (a lamp). A painting without a frame, too, may have
-uniform rows, as of sky. The difference is the edge: it crosses the whole side at one depth, and other sides have
-one too.
+Below, rows are the lines parallel to a side, counted from it. A row is uniform if its colors vary little apart from a
+linear trend, so a band may be shaded across (a profile) and along (a lamp). A painting without a frame may also have
+uniform rows, such as sky. The difference is the edge: it spans the whole side at one depth, and other sides have one
+too.
 """
 
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ import numpy as np
 
 MOST = 0.25  # widest band, relative to the image's side
 LEAST = 2  # pixels
-MIDDLE = (0.25, 0.75)  # of a row, that decides whether it is uniform: bands of other sides cross its ends
+MIDDLE = (0.25, 0.75)  # part of a row that decides whether it is uniform: bands of other sides cross its ends
 UNIFORM = 0.03  # largest robust spread of a uniform row, sRGB 0..1
-STEP = 0.025  # least change of color across an edge; SPREADS times the band's spread if that is more
+STEP = 0.025  # minimum change of color across an edge, or SPREADS times the band's spread if larger
 SPREADS = 4.0
-CROSSED = 0.75  # share of a side along which colors must change at an edge
+CROSSED = 0.75  # fraction of a side along which colors must change at an edge
 BESIDE = 4  # rows before an edge that it is compared with
-RINGING = 8  # rows before an edge that a JPEG's blocks may have unsettled
-BLURRED = 0.75  # share of the change at an edge below which a row is still a mixture of both sides
-ALIKE = 0.06  # largest difference in color between bands of one frame
+RINGING = 8  # rows before an edge that may be affected by JPEG ringing
+BLURRED = 0.75  # fraction of the change at an edge below which a row is still a mixture of both sides
+ALIKE = 0.06  # maximum color difference between bands of one frame
 SIDES = ("left", "top", "right", "bottom")
 
 
@@ -37,11 +37,11 @@ class Frame:
         return any((self.left, self.top, self.right, self.bottom))
 
     def __str__(self) -> str:
-        """As "24 px at the left, 30 px at the top"."""
+        """Format as "24 px at the left, 30 px at the top"."""
         return ", ".join(f"{getattr(self, side)} px at the {side}" for side in SIDES if getattr(self, side))
 
     def without(self, pixels: np.ndarray) -> np.ndarray:
-        """Cut the bands off an image [h, w, c]."""
+        """Return an image [h, w, c] without the bands."""
         height, width = pixels.shape[:2]
         return np.ascontiguousarray(pixels[self.top : height - self.bottom, self.left : width - self.right])
 
@@ -53,7 +53,7 @@ class _Edge:
     Attributes:
         depth: Rows of the band.
         color: Its color beside the edge, [3].
-        ends: Whether no uniform row follows: else it may be an edge within a frame, or within a painting.
+        ends: Whether no uniform row follows; otherwise, the edge may be within a frame or within a painting.
     """
 
     depth: int
@@ -64,10 +64,10 @@ class _Edge:
 def frame_of(pixels: np.ndarray) -> Frame:
     """Find the frame of an image.
 
-    Either bands of all four sides end in an edge, or those of at least two sides have an edge where their colors are
-    alike. So a band that continues evenly within the painting (a sky below white paper) ends where those of others do.
-    Not found: carved or worn frames, frames wider than MOST, turned by more than a fraction of a degree, or on one side
-    only.
+    Either the bands of all four sides end in an edge, or those of at least two sides have an edge where their colors
+    are similar. Thus a band that continues uniformly into the painting (a sky below white paper) ends where the others
+    do. Not found: carved or worn frames, and frames wider than MOST, rotated by more than a fraction of a degree, or on
+    one side only.
 
     Args:
         pixels: [h, w, 3] sRGB 0..1.
@@ -94,7 +94,7 @@ def _rows_from(pixels: np.ndarray, side: str) -> np.ndarray:
 
 
 def _whole(rows: np.ndarray, side: str, found: dict[str, _Edge]) -> bool:
-    """Whether a band and its edge reach from one neighboring band to the other."""
+    """Whether a band and its edge extend from one neighboring band to the other."""
     before, after = ("left", "right") if side in ("top", "bottom") else ("top", "bottom")
     first, last = (found[one].depth if one in found else 0 for one in (before, after))
     between, at = rows[:, first : rows.shape[1] - last], found[side].depth
@@ -103,7 +103,7 @@ def _whole(rows: np.ndarray, side: str, found: dict[str, _Edge]) -> bool:
 
 
 def _edges(rows: np.ndarray) -> list[_Edge]:
-    """Return the edges within and at the end of the uniform rows, by depth."""
+    """Return the edges within and at the end of the uniform rows, sorted by depth."""
     count, columns = rows.shape[:2]
     middle, most = rows[:, int(MIDDLE[0] * columns) : int(MIDDLE[1] * columns)], int(MOST * count)
     spreads: list[float] = []
@@ -126,7 +126,7 @@ def _edges(rows: np.ndarray) -> list[_Edge]:
 
 
 def _spread(row: np.ndarray) -> float:
-    """Return the spread of a row's colors [n, 3] about a linear trend, from their deciles, as a standard deviation."""
+    """Return the standard deviation of a row's colors [n, 3] about a linear trend, estimated from their deciles."""
     places = np.linspace(-1, 1, len(row))
     centered = row - row.mean(axis=0)
     trend = places[:, None] * (places @ centered) / (places @ places)
@@ -135,19 +135,19 @@ def _spread(row: np.ndarray) -> float:
 
 
 def _band(rows: np.ndarray, at: int) -> np.ndarray:
-    """Return the color of a band before the row `at`, [3]."""
+    """Return the color [3] of a band before row `at`."""
     return np.median(rows[max(0, at - BESIDE) : at], axis=(0, 1))
 
 
 def _crosses(rows: np.ndarray, at: int, until: int, spread: float) -> bool:
-    """Whether two rows from `at` on differ, along CROSSED of the side, from the band before the row `until`."""
+    """Whether two rows from `at` on differ, along CROSSED of the side, from the band before row `until`."""
     band = np.median(rows[max(0, until - BESIDE) : until], axis=0)
     change = np.abs(rows[at : at + 2] - band).max(axis=2)
     return bool(((change > max(STEP, SPREADS * spread)).mean(axis=1) >= CROSSED).all())
 
 
 def _sharp(rows: np.ndarray, at: int) -> int:
-    """Return where an edge that begins at the row `at` is over: a blurred one mixes two rows of either side."""
+    """Return where an edge that begins at row `at` ends: a blurred one mixes two rows of both sides."""
     band = np.median(rows[max(0, at - BESIDE) : at], axis=0)
     for _ in range(2):
         here, there = rows[at] - band, rows[at + 1] - band

@@ -1,5 +1,5 @@
-"""Stylization of a single image: feed-forward by AdaIN and a decoder (Huang and Belongie 2017), or by optimizing its
-pixels (Gatys et al. 2016)."""
+"""Stylize a single image: feed-forward with AdaIN and a decoder (Huang and Belongie 2017), or by optimizing its pixels
+(Gatys et al. 2016)."""
 
 from collections.abc import Callable, Mapping
 
@@ -39,7 +39,7 @@ class Decoder(nn.Module):
 
 
 def adain(content: Tensor, style: Tensor) -> Tensor:
-    """Match each channel's mean and standard deviation of content features [1, c, h, w] to the style's (eq. 8)."""
+    """Match the mean and standard deviation of each channel of content features [1, c, h, w] to the style's (eq. 8)."""
     mean_c, mean_s = content.mean((2, 3), keepdim=True), style.mean((2, 3), keepdim=True)
     spread_c = (content.var((2, 3), keepdim=True, unbiased=False) + VARIANCE_FLOOR).sqrt()
     spread_s = (style.var((2, 3), keepdim=True, unbiased=False) + VARIANCE_FLOOR).sqrt()
@@ -48,7 +48,7 @@ def adain(content: Tensor, style: Tensor) -> Tensor:
 
 @torch.no_grad()
 def adain_picture(extractor: FeatureExtractor, decoder: Decoder, photo: Tensor, style_image: Tensor) -> Tensor:
-    """Stylize a photo [3, h, w] by a style image [3 or 4, any, any]; [3, h, w] in 0..1. extractor: conv3_1 alone."""
+    """Return a photo [3, h, w] stylized by a style image [3 or 4, any, any], in 0..1. extractor: conv3_1 only."""
     height, width = photo.shape[1:]
     (style,) = style_features(extractor, style_image).values()
     stylized = decoder(adain(extractor(photo[None])[-1], style[None]))[0]
@@ -57,13 +57,13 @@ def adain_picture(extractor: FeatureExtractor, decoder: Decoder, photo: Tensor, 
 
 FIRST, SECOND, FLOOR = 0.9, 0.99, 1e-8  # Adam's betas and epsilon
 
-ImageLoss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]  # of an image [3, h, w]: the loss and its parts
+ImageLoss = Callable[[Tensor], tuple[Tensor, dict[str, float]]]  # maps an image [3, h, w] to the loss and its terms
 
 
 class ImageOptimization:
-    """Optimizes straight colors by Adam; the visible image is alpha colors + (1 - alpha) background.
+    """Optimizes straight colors with Adam; the visible image is alpha colors + (1 - alpha) background.
 
-    Adam moves every color by about `rate` in each step, however small its gradient; at low alpha little of it shows.
+    Adam moves every color by about `rate` per step, even with a tiny gradient; at low alpha, this is hardly visible.
 
     Args:
         start: [3, h, w] over the background, sRGB 0..1.
@@ -84,12 +84,12 @@ class ImageOptimization:
         return colors if self.alpha is None else self.alpha * colors + (1 - self.alpha) * self.background
 
     def step(self, loss: ImageLoss, factor: float = 1.0) -> dict[str, float]:
-        """Take one step at `factor` times the rate, keeping colors in 0..1; return the loss terms before it."""
+        """Take one step with `factor` times the rate, keeping colors in 0..1; return the loss terms before the step."""
         colors = self.colors.clone().requires_grad_()
         total, parts = loss(self.seen(colors))
         (gradient,) = torch.autograd.grad(total, colors)
         self.steps += 1
-        # Adam by hand: its moments are part of a checkpoint, on either device.
+        # Manual Adam: its moments are part of checkpoints, on any device.
         self.first.mul_(FIRST).add_(gradient, alpha=1 - FIRST)
         self.second.mul_(SECOND).addcmul_(gradient, gradient, value=1 - SECOND)
         size = (self.second / (1 - SECOND**self.steps)).sqrt_() + FLOOR
@@ -126,7 +126,7 @@ def painted(
     Args:
         start, alpha, background, rate: See ImageOptimization.
         loss: Maps an image [3, h, w] to the loss and its terms.
-        enough: Called after every step; True ends early.
+        enough: Called after every step; stops early if it returns True.
 
     Returns:
         The image [h, w, 3] float32 and the loss terms before the last step.

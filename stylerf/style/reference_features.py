@@ -1,11 +1,11 @@
-"""The loss of a view given stylized references: content is matched to the references, and takes their style.
+"""The loss of a view given stylized references: content is matched to the references and takes on their style.
 
 Ref-NPR's template-based correspondence (Zhang et al. 2023, section 3.3). Each reference view has a photo, which Ref-NPR
 calls the template, and a stylized version. With F the features of a block:
 
     j(i) = argmin_j 1 - cos(F_photo,i , F_reference,j)           match content to the references' photos
     style = mean_i 1 - cos(F_render,i , F_stylized,j(i))         apply their style there
-    color: the same for mean colors of coarse cells; matches at a cosine distance over 0.6 are ignored
+    color: the same for mean colors of coarse cells; matches with a cosine distance above 0.6 are ignored
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,8 @@ from stylerf.style.style_loss import (
     weighted_sum,
 )
 
-COARSE_PIXELS = 16  # longest side of a coarse cell, pixels, if features are as fine (Ref-NPR: 1/16 of the image)
-UNRELATED = 0.6  # cosine distance over which a coarse match is ignored (Ref-NPR)
+COARSE_PIXELS = 16  # maximum side of a coarse cell, pixels, if features are as fine (Ref-NPR: 1/16 of the image)
+UNRELATED = 0.6  # cosine distance above which a coarse match is ignored (Ref-NPR)
 MOST_ROWS = 16384  # reference features kept for matching
 
 Matches = dict[str, Tensor]  # by block: [n] int32, for the positions inside alpha
@@ -50,11 +50,11 @@ class Wanted:
     """Targets of a view.
 
     Attributes:
-        matches: Reference positions, by block.
+        matches: Matched reference positions, by block.
         content: The photo's features by block, in half precision.
-        colors: [3, rows, columns], colors of coarse cells.
-        trusted: [rows, columns], the coverage of cells with a usable match, 0 for others.
-        covered: Coverage, summed over all cells.
+        colors: [3, rows, columns], target colors of coarse cells.
+        trusted: [rows, columns], coverage of cells with a usable match, 0 for others.
+        covered: Sum of the coverage of all cells.
     """
 
     matches: Matches
@@ -65,7 +65,7 @@ class Wanted:
 
     @property
     def bytes(self) -> int:
-        """Memory used."""
+        """Memory used, bytes."""
         held = (*self.matches.values(), *self.content.values(), self.colors, self.trusted)
         return sum(t.numel() * t.element_size() for t in held)
 
@@ -78,7 +78,7 @@ class ReferenceObjective(FeatureLoss):
         coarse: Its deepest block, at full resolution, finds the coarse matches (Ref-NPR: conv5).
         references: At least one.
         weights: Of the loss terms; content is relative to the mean squared feature of the stylized references
-            (docs/decisions/0010).
+            (decision 0010).
         scale: Scale of the images that features are extracted from.
         basis: Leading directions in which matches are searched; 0 for all, exact.
         seed: Of the choice of reference features.
@@ -100,8 +100,8 @@ class ReferenceObjective(FeatureLoss):
         self.coarse, self.references, self.basis, self.seed = coarse, list(references), basis, seed
         with torch.no_grad():
             stylized = self._rows_of([reference.stylized for reference in self.references])
-            # keys and stylized are rows of the same positions: equal seeds and counts draw equal samples, so that an
-            # index into one is an index into the other.
+            # keys and stylized are rows at the same positions: equal seeds and counts draw equal samples, so indices
+            # are valid for both.
             self.stylized = {block: StyleRows(unit_rows(rows)) for block, rows in stylized.items()}
             self.unit = {block: float(rows.square().mean().clamp_min(1e-12)) for block, rows in stylized.items()}
             self.keys = self.keys_of([reference.photo for reference in self.references])
@@ -110,7 +110,7 @@ class ReferenceObjective(FeatureLoss):
             self.coarse_colors = torch.cat([colors for _, colors in cells])
 
     def _rows_of(self, pictures: Sequence[Tensor]) -> dict[str, Tensor]:
-        """Return features by block, [n, c], of one image for each reference, at positions inside its alpha."""
+        """Return features by block, [n, c], of one image per reference, at positions inside its alpha."""
         found: dict[str, list[Tensor]] = {}
         for reference, picture in zip(self.references, pictures, strict=True):
             for block, feature in self.features_of(picture, reference.window).items():
@@ -123,7 +123,7 @@ class ReferenceObjective(FeatureLoss):
 
     @torch.no_grad()
     def keys_of(self, pictures: Sequence[Tensor]) -> dict[str, StyleRows]:
-        """Return the features of the references, as shown by `pictures`, that matches are searched among, by block."""
+        """Return the references' features, by block, in which matches are searched; pictures: one per reference."""
         rows = {block: StyleRows(unit_rows(one)) for block, one in self._rows_of(pictures).items()}
         return {b: r.with_basis(self.basis) if 0 < self.basis < r.rows.shape[1] else r for b, r in rows.items()}
 
@@ -131,7 +131,7 @@ class ReferenceObjective(FeatureLoss):
     def matches_of(
         self, found: dict[str, Tensor], keys: dict[str, StyleRows], alpha: Tensor | None, window: Window
     ) -> Matches:
-        """Match a view's features to the references; only positions inside alpha."""
+        """Match a view's features to the references, at positions inside alpha only."""
         matches = {}
         for block, feature in found.items():
             rows = rows_of(feature)
@@ -153,7 +153,7 @@ class ReferenceObjective(FeatureLoss):
     def _coarse_features(self, photo: Tensor, window: Window) -> tuple[Tensor, tuple[int, int]]:
         """Return features [cells, c] of the coarse extractor's deepest block, and the grid's (rows, columns).
 
-        Cells are as few as are at most COARSE_PIXELS wide, but no more than feature positions.
+        Cells are at most COARSE_PIXELS wide, unless that exceeds the number of feature positions.
         """
         part = photo[:, *window]
         blocks = by_block(self.coarse.layers, features(self.coarse, part[None], self.half))
@@ -163,7 +163,7 @@ class ReferenceObjective(FeatureLoss):
 
     @torch.no_grad()
     def wanted(self, photo: Tensor, alpha: Tensor | None = None, window: Window = EVERYTHING) -> Wanted:
-        """Return the targets of the view of a photo [3, h, w]."""
+        """Return the targets of a view with photo [3, h, w]."""
         found = self.features_of(photo, window)
         keys, size = self._coarse_features(photo, window)
         place, cosine = nearest(keys, self.coarse_keys, self.memory_mb)
@@ -189,7 +189,7 @@ class ReferenceObjective(FeatureLoss):
         rows, columns = wanted.trusted.shape
         cells = F.adaptive_avg_pool2d(picture[:, *window], (rows, columns))
         apart = (cells - wanted.colors).square().mean(0)
-        # Over all covered cells, trusted or not: few matches pull little.
+        # Normalized by all covered cells, trusted or not, so that few matches have little influence.
         color = (apart * wanted.trusted).sum() / max(wanted.covered, 1e-6)
         parts = {"style": style, "content": content, "variation": self.variation(picture), "color": color}
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}

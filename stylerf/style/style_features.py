@@ -1,4 +1,4 @@
-"""Features of a style image: with strokes of a chosen size, at four rotations, of what it shows, in bounded memory."""
+"""Features of a style image's visible parts, with a chosen stroke size, at up to four rotations, in bounded memory."""
 
 from collections.abc import Iterator
 from math import ceil, sqrt
@@ -10,19 +10,19 @@ from stylerf.errors import InvalidValue
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, features, fitted
 from stylerf.style.transparency import shown_positions
 
-PART_SIDE = 768  # pixels, about, of the parts that an enlarged image is seen in
-MOST_PIXELS = 1 << 22  # of all parts: what is enlarged holds no more strokes
-MOST_POSITIONS = 65536  # kept of each block
+PART_SIDE = 768  # approximate side, pixels, of the parts that an enlarged image is processed in
+MOST_PIXELS = 1 << 22  # of all parts: an enlarged image has no more strokes
+MOST_POSITIONS = 65536  # kept per block
 TURNS = 4  # of 90 degrees
 
-Parts = list[tuple[slice, slice]]  # of a side: pixels to extract features from, and those of them that count
+Parts = list[tuple[slice, slice]]  # along a side: pixels to extract features from, and those of them to keep
 
 
 def stroke_picture(style_image: Tensor, long_side: int, stroke: float = 1.0) -> Tensor:
-    """Scale a style image [3 or 4, h, w] to strokes `stroke` times as large as with a longer side of `long_side`.
+    """Scale a style image [3 or 4, h, w] so that strokes are `stroke` times as large as for a longer side `long_side`.
 
-    A smaller image is mirrored outwards to the size of stroke 1: along its own border, features see nothing, and a
-    small image is mostly border.
+    A smaller image is extended by mirroring to the size of stroke 1: features along its border see nothing beyond it,
+    and a small image is mostly border.
     """
     picture = fitted(style_image, max(1, round(long_side * stroke)))
     if stroke >= 1:
@@ -32,7 +32,7 @@ def stroke_picture(style_image: Tensor, long_side: int, stroke: float = 1.0) -> 
 
 
 def mirrored(image: Tensor, height: int, width: int) -> Tensor:
-    """Continue an image [c, h, w] to the right and downwards by its mirror images; [c, height, width]."""
+    """Extend an image [c, h, w] to the right and downwards by mirroring; [c, height, width]."""
 
     def places(side: int, count: int) -> Tensor:
         wave = torch.arange(count, device=image.device) % (2 * side)
@@ -54,21 +54,21 @@ def style_features(
     """Return the features of a style image by block.
 
     Args:
-        extractor: The layers.
+        extractor: Determines the layers.
         picture: [3 or 4, h, w], scaled, on the extractor's device; a fourth channel is alpha.
-        half: See feature_extractor.features.
-        rotations: Also of the image turned by 90, 180 and 270 degrees.
-        in_parts: Extract from parts of about PART_SIDE pixels, spread over the image, MOST_PIXELS in all. Features are
-            those of the whole image.
-        limited: Keep at most MOST_POSITIONS of each block, unless the result is a whole image that shows all.
-        seed: Of the choice of these.
+        half: See feature_extractor.features().
+        rotations: Also return features of the image rotated by 90, 180 and 270 degrees.
+        in_parts: Extract from parts of about PART_SIDE pixels, spread over the image, MOST_PIXELS in total. Features
+            are the same as for the whole image.
+        limited: Keep at most MOST_POSITIONS per block, unless the result is a whole, fully visible image.
+        seed: For the choice of these.
 
     Returns:
-        [c, h', w'] for a whole image that shows all; else [c, 1, n], of the positions that show the style (see
+        [c, h', w'] for a whole, fully visible image; else [c, 1, n] at the positions that show the style (see
         transparency.shown_positions).
 
     Raises:
-        InvalidValue: No position does.
+        InvalidValue: No position shows the style.
     """
     pictures = [picture.rot90(turn, (1, 2)) for turn in range(TURNS if rotations else 1)]
     if len(pictures) == 1 and not in_parts and picture.shape[0] == 3:
@@ -87,7 +87,8 @@ def style_features(
     for block, feature in found.items():
         if feature.shape[2] == 0:
             raise InvalidValue(
-                f"the style image's opaque parts are smaller than what {block} sees at this size; give it a background"
+                f"the style image's opaque parts are smaller than {block}'s receptive field at this size; give it a "
+                "background"
             )
     return found
 
@@ -95,7 +96,7 @@ def style_features(
 def _kept_rows(
     extractor: FeatureExtractor, part: Tensor, inner: tuple[slice, slice], half: torch.dtype | None
 ) -> dict[str, Tensor]:
-    """Features of a part [3 or 4, h, w] by block, [c, n]: of positions within `inner`, pixels of it, that show it."""
+    """Return features by block, [c, n], of a part [3 or 4, h, w] at visible positions within the pixels `inner`."""
     kept = {}
     for block, feature in by_block(extractor.layers, features(extractor, part[None, :3], half)).items():
         size = (feature.shape[1], feature.shape[2])
@@ -110,14 +111,14 @@ def _kept_rows(
 
 
 def _scaled(pixels: slice, positions: int, of: int) -> slice:
-    """The positions, of `positions` over `of` pixels, that lie within a slice of pixels."""
+    """Return which of `positions`, spread over `of` pixels, are within a slice of pixels."""
     return slice(ceil(pixels.start * positions / of), int(pixels.stop * positions / of))
 
 
 def _parts_of(
     picture: Tensor, stride: int, margin: int, in_parts: bool
 ) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Windows of an image and what counts of each, relative to it."""
+    """Yield windows of an image, each with the part to keep, relative to the window."""
     height, width = picture.shape[1:]
     if not in_parts:
         yield (slice(0, height), slice(0, width)), (slice(0, height), slice(0, width))
@@ -130,9 +131,9 @@ def _parts_of(
 
 
 def _parts_of_side(side: int, share: float, stride: int, margin: int) -> Parts:
-    """Cut a side into equal cells, and take the middle `share` of each, with `margin` around it.
+    """Divide a side into equal cells and take the middle `share` of each, with `margin` around it.
 
-    Cuts are at multiples of the stride, so that pooling aligns with that of the whole image.
+    Cuts are at multiples of the stride, so that pooling is aligned with the whole image's.
     """
     count, parts = max(1, round(side / PART_SIDE)), []
     for at in range(count):

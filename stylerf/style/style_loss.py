@@ -1,6 +1,6 @@
 """The loss of a stylized view: style features, content, total variation (ARF eq. 4), and local mean colors.
 
-The color term keeps regions of the photo, in the style image's colors, as dark, bright or yellow as they are.
+The color term preserves local mean colors of the photo, which has been matched to the style image's colors.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,32 +23,32 @@ from stylerf.style.transport import transport_targets
 def position_weights(alpha: Tensor, features: Tensor, around: int = 0) -> Tensor:
     """Return the coverage of each feature position, [h', w'] in 0..1: alpha [h, w], area-averaged.
 
-    around: radius of a maximum filter over positions, so that those next to the object count too.
+    around: radius of a maximum filter over positions, so that those next to the object also count.
     """
     covered = F.interpolate(alpha[None, None], size=features.shape[1:], mode="area")
     return F.max_pool2d(covered, 2 * around + 1, 1, around)[0, 0]
 
 
 def nearest_positions(sizes: Tensor, features: Tensor) -> Tensor:
-    """Return each feature position's value of integers [h, w], [h', w']: that of the nearest pixel."""
+    """Return the value of integers [h, w] at each feature position, [h', w']: that of the nearest pixel."""
     return F.interpolate(sizes[None, None].float(), size=features.shape[1:], mode="nearest")[0, 0].long()
 
 
 def nearest_neighbor_distance(
     features: Tensor,  # [c, h, w] of the render
     style: StyleRows,
-    weights: Tensor | None = None,  # [h, w] >= 0; positions of weight 0 are neither matched nor differentiated
+    weights: Tensor | None = None,  # [h, w] >= 0; positions with weight 0 are neither matched nor differentiated
     memory_mb: float = 64.0,
     half: bool = False,
     matches: Tensor | None = None,  # indices from an earlier call, to skip the search
 ) -> tuple[Tensor, Tensor]:
-    """Compute NNFM (ARF eq. 2): 1 - cos(F_i, S_j(i)) with j(i) the style row of largest cosine.
+    """Compute NNFM (ARF eq. 2): 1 - cos(F_i, S_j(i)) with j(i) the style row with the largest cosine.
 
     The loss is distances.sum() / weights.sum(). There is no gradient through the matching or the style. All-zero
     features have distance 1 and gradient 0.
 
     Returns:
-        Distances [p] in 0..2 of the positions of positive weight, times their weight, and their matches [p].
+        Distances [p] in 0..2 at positions with positive weight, times their weight, and their matches [p].
     """
     rows = rows_of(features)
     if weights is not None:
@@ -62,7 +62,7 @@ def nearest_neighbor_distance(
 
 
 def content_distance(features: Tensor, reference: Tensor) -> Tensor:
-    """Return the squared difference of features [c, h, w] at each position, mean over channels, [h, w] (ARF)."""
+    """Return the squared difference of features [c, h, w] at each position, averaged over channels, [h, w] (ARF)."""
     return (features - reference).square().mean(dim=0)
 
 
@@ -71,7 +71,7 @@ def gram_matrix(features: Tensor, weights: Tensor | None = None) -> Tensor:
     if weights is None:
         return _gram(features, None, features[0].numel())
     total = weights.sum()
-    # Reading the total on a GPU would wait for it; there the NaN that results is caught later.
+    # Reading the total on a GPU would synchronize; there, the resulting NaN is caught later.
     if not total.is_cuda and float(total) <= 0:
         raise InvalidValue("a Gram matrix needs a position of positive weight")
     return _gram(features, weights, total)
@@ -83,10 +83,10 @@ def _gram(features: Tensor, weights: Tensor | None, total: Tensor | int) -> Tens
 
 
 def gram_difference(features: Tensor, style_gram: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Return |G - S|^2 / (|G|^2 + |S|^2) of Gram matrices, a scalar: 0 if equal, 1 if without a common feature.
+    """Return |G - S|^2 / (|G|^2 + |S|^2) of Gram matrices, a scalar: 0 if equal, 1 if they have no features in common.
 
-    Relative to both, so that it outweighs no other term, whatever the photo and the style image. 1, without a gradient,
-    where all weights [h, w] are 0.
+    Normalized by both, so that it cannot dominate other terms for any photo and style image. 1, without a gradient, if
+    all weights [h, w] are 0.
     """
     total = features[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
     gram = _gram(features, weights, total)
@@ -106,21 +106,21 @@ def image_variation(image: Tensor) -> Tensor:
 
 
 def diagonal_variation(image: Tensor) -> Tensor:
-    """Return DeSRF's variation (eq. 6) at each pixel, [h, w]: ||grad_u x + grad_v x|| over color, forward differences.
+    """Return DeSRF's variation (eq. 6) per pixel, [h, w]: ||grad_u x + grad_v x|| over color, forward differences.
 
-    As printed, the differences are added before the norm, so a ramp along the rising diagonal is free. The gradient at
-    a flat pixel is 0.
+    As printed in the paper, the differences are added before the norm, so a ramp along the rising diagonal costs
+    nothing. The gradient at a flat pixel is 0.
     """
     right = F.pad(image[:, :, 1:] - image[:, :, :-1], (0, 1))
     down = F.pad(image[:, 1:] - image[:, :-1], (0, 0, 0, 1))
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
-EDGE_CELL = 4  # pixels: finer edges would be made of grain
+EDGE_CELL = 4  # pixels; finer edges would mostly be grain
 
 
 def luma_gradient(picture: Tensor) -> Tensor:
-    """Return the gradient (right, down) of the luma, [2, h // EDGE_CELL, w // EDGE_CELL], of an image [3, h, w]."""
+    """Return the luma gradient (right, down) of an image [3, h, w], [2, h // EDGE_CELL, w // EDGE_CELL]."""
     weights = picture.new_tensor(LUMA)[:, None, None]
     luma = F.avg_pool2d((weights * picture).sum(0)[None], EDGE_CELL)[0]
     return torch.stack([F.pad(luma[:, 1:] - luma[:, :-1], (0, 1)), F.pad(luma[1:] - luma[:-1], (0, 0, 0, 1))])
@@ -129,8 +129,8 @@ def luma_gradient(picture: Tensor) -> Tensor:
 def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) -> Tensor:
     """Return how much of the photo's edges is missing: the mean of max(0, |p| - <r, p / |p|>), weighted by alpha.
 
-    r is the luma's gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere, and strengthen
-    the photo's; a style image's plain parts may not cover what is in them: petals, letters, faces.
+    r is the luma gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere and strengthen the
+    photo's, but plain parts of a style image may not cover details such as petals, letters or faces.
 
     Args:
         wanted: p, [2, h', w'].
@@ -145,8 +145,8 @@ def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) 
     return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
 
 
-POSITIONS = 2048  # features of a block that transport matches at a time
-CELLS = 32  # along the longer side: the resolution at which colors are kept
+POSITIONS = 2048  # features per block that transport matches in a step
+CELLS = 32  # along the longer side: the resolution of the color term
 Window = tuple[slice, slice]  # rows and columns of an image
 EVERYTHING: Window = (slice(None), slice(None))
 VARIATIONS: dict[str, Callable[[Tensor], Tensor]] = {
@@ -164,10 +164,10 @@ class StyleWeights:
         content: Of the content distance, relative to the style image's mean squared feature: squared features of
             different extractors differ by a factor of up to 10,000, so absolute weights (ARF: 1e-3) do not transfer.
         variation: Of the total variation.
-        color: Of the mean squared difference of the mean colors of CELLS cells: features hardly depend on color, which
-            would drift otherwise (docs/decisions/0012).
-        structure: Of the edges of the photo that are missing (see missing_edges).
-        gram: Of gram_difference() within the style distance, where it is added to that of single features.
+        color: Of the mean squared difference of mean colors in CELLS cells: features hardly depend on color, which
+            would otherwise drift (decision 0012).
+        structure: Of the photo's missing edges (see missing_edges()).
+        gram: Of gram_difference() within the style distance, in addition to the distance of single features.
     """
 
     style: float = 1.0
@@ -193,14 +193,14 @@ class Content:
 
     @property
     def bytes(self) -> int:
-        """Memory used."""
+        """Memory used, bytes."""
         return sum(t.numel() * t.element_size() for t in (*self.features.values(), self.colors, self.edges))
 
 
 class FeatureLoss:
-    """What losses on features share. All tensors are on the feature extractor's device.
+    """Base of losses on features. All tensors are on the feature extractor's device.
 
-    On a GPU it runs in bfloat16, and neighbors are searched in float16; sums are float32.
+    On a GPU, the extractor runs in bfloat16 and neighbors are searched in float16; sums are float32.
     """
 
     def __init__(
@@ -213,7 +213,7 @@ class FeatureLoss:
         self.half, self.memory_mb = torch.bfloat16 if on_gpu else None, 1024.0 if on_gpu else 64.0
 
     def features_of(self, picture: Tensor, window: Window = EVERYTHING) -> dict[str, Tensor]:
-        """Return features by block of a window of an image [3, h, w], at the feature scale."""
+        """Return features by block for a window of an image [3, h, w], at the feature scale."""
         part = picture[:, *window]
         if self.gray:
             part = part.mean(0, keepdim=True).expand(3, -1, -1)
@@ -222,19 +222,19 @@ class FeatureLoss:
 
 
 def scaled_style(style_image: Tensor, size: tuple[int, int], scale: float, style_scale: float, stroke: float) -> Tensor:
-    """Scale a style image [3 or 4, h, w] to content images of a height and width; see StyleObjective."""
+    """Scale a style image [3 or 4, h, w] for content images of `size` (height, width); see StyleObjective."""
     return stroke_picture(style_image, max(1, round(max(size) * scale * style_scale)), stroke)
 
 
 class StyleBlock(NamedTuple):
-    """What is known of a style image in one block of features: rows to match, and the Gram matrix [c, c]."""
+    """A style image's features of one block: rows to match, and the Gram matrix [c, c]."""
 
     rows: StyleRows
     gram: Tensor
 
     @classmethod
     def of(cls, feature: Tensor, most_rows: int, basis: int, seed: int) -> Self:
-        """From features [c, h, w]."""
+        """Create from features [c, h, w]."""
         rows = style_rows(feature, most_rows, seed=seed)
         return cls(rows.with_basis(basis) if 0 < basis < feature.shape[0] else rows, gram_matrix(feature))
 
@@ -243,25 +243,25 @@ class StyleObjective(FeatureLoss):
     """The loss of an image [3, h, w] for a style image whose features are computed once.
 
     Args:
-        extractor: The layers whose features are matched.
-        style_image: [3 or 4, h, w]; a fourth channel is alpha, and what it hides is not matched.
+        extractor: Its layers' features are matched.
+        style_image: [3 or 4, h, w]; a fourth channel is alpha, and hidden parts are not matched.
         size: Height and width of the content images.
         weights: Of the loss terms.
         scale: Scale of the images that features are extracted from (ARF: 0.5).
-        most_rows: Style features kept for matching.
-        basis: Leading directions in which neighbors are searched; 0 for all, exact.
+        most_rows: Number of style features kept for matching.
+        basis: Number of leading directions in which neighbors are searched; 0: all, exact.
         style_scale: Scale of the style image, relative to `scale`.
-        strokes: Sizes of its strokes, relative to that; see style_features.stroke_picture. Of several, every pixel of
-            an image has its own.
-        rotations: Match with the style image turned by 90, 180 and 270 degrees too.
-        seed: Of the choice of style features.
+        strokes: Stroke sizes, relative to that; see style_features.stroke_picture(). If there are several, each pixel
+            of an image selects one.
+        rotations: Also match with the style image rotated by 90, 180 and 270 degrees.
+        seed: For the choice of style features.
         variation: "squared" (ARF) or "diagonal" (DeSRF eq. 6).
-        around: Feature positions next to the object that count too.
+        around: How many feature positions beyond the object also count.
         diversity: How evenly transport uses the style features; see style/transport.py.
-        gray: Features are those of the images' brightness, so that the loss changes no hue.
+        gray: Use features of the images' brightness, so that the loss does not change hues.
 
     Attributes:
-        draw: Number of the step, from which positions are drawn.
+        draw: Number of the step, which seeds the choice of positions.
     """
 
     def __init__(
@@ -285,7 +285,7 @@ class StyleObjective(FeatureLoss):
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
         found = [self._features_of_style(style_image, size, style_scale, stroke, rotations, seed) for stroke in strokes]
-        # Squared features of extractors differ by orders of magnitude: content is relative to them (decision 0010).
+        # Squared features of extractors differ by orders of magnitude, so content is relative to them (decision 0010).
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found[0].items()}
         self.styles = [
             {block: StyleBlock.of(feature, most_rows, basis, seed) for block, feature in one.items()} for one in found
@@ -298,7 +298,7 @@ class StyleObjective(FeatureLoss):
         return style_features(self.extractor, picture, self.half, rotations, in_parts=stroke > 1, seed=seed)
 
     def _style_distance(self, block: str, feature: Tensor, weights: Tensor | None, sizes: Tensor | None) -> Tensor:
-        """Return the style distance of features [c, h, w] of one block; weights [h, w], places in `styles` [h, w]."""
+        """Return the style distance of features [c, h, w] of one block; weights [h, w], indices into styles [h, w]."""
         if sizes is None:
             return self._distance(self.styles[0][block], feature, weights)
         distance, flat = feature.new_zeros(()), torch.ones_like(feature[0]) if weights is None else weights
@@ -311,7 +311,7 @@ class StyleObjective(FeatureLoss):
         return distance
 
     def _distance(self, style: StyleBlock, feature: Tensor, weights: Tensor | None, share: float = 1.0) -> Tensor:
-        """Return the distance of features [c, h, w] to strokes of one size; weights [h, w]. share: of the image."""
+        """Return the distance of features [c, h, w] to strokes of one size; weights [h, w]. share: of positions."""
         distance = self._distance_of_features(style, feature, weights, share)
         if self.weights.gram > 0:
             distance = distance + self.weights.gram / len(self.unit) * gram_difference(feature, style.gram, weights)
@@ -325,7 +325,7 @@ class StyleObjective(FeatureLoss):
 
     @torch.no_grad()
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
-        """Return the targets from a photo [3, h, w], in half precision, as they are held for every view."""
+        """Return the targets from a photo [3, h, w], in half precision, since they are kept for every view."""
         found = {block: f.half() for block, f in self.features_of(photo, window).items()}
         return Content(found, cell_colors(photo), luma_gradient(photo).half())
 
@@ -342,9 +342,9 @@ class StyleObjective(FeatureLoss):
         Args:
             picture: [3, h, w], over the background.
             content: Targets from the photo; None if unused (see StyleWeights.need_photo).
-            alpha: [h, w], the object; what lies outside is ignored.
-            window: The part that features are extracted from, the same as for `content` (see window_of).
-            sizes: [h, w] int, each pixel's place in `strokes`; None: the first.
+            alpha: [h, w], coverage by the object; everything else is ignored.
+            window: The part that features are extracted from, the same as for `content` (see window_of()).
+            sizes: [h, w] int, each pixel's index into `strokes`; None: the first.
         """
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
@@ -361,7 +361,7 @@ class StyleObjective(FeatureLoss):
         if content is not None and self.weights.color > 0:
             apart = (cell_colors(picture) - content.colors).square().mean(0)
             weights = torch.ones_like(apart) if alpha is None else cell_colors(alpha[None])[0]
-            # Empty views have no weight: 0 instead of 0/0.
+            # Empty views have zero weight: 0 instead of 0/0.
             color_loss = (apart * weights).sum() / weights.sum().clamp_min(1e-6)
         structure = picture.new_zeros(())
         if content is not None and self.weights.structure > 0:
@@ -372,7 +372,7 @@ class StyleObjective(FeatureLoss):
 
 
 def weighted_sum(weights: StyleWeights, parts: Mapping[str, Tensor]) -> Tensor:
-    """Return the loss from its terms, in their order."""
+    """Return the weighted sum of the loss terms, added in order."""
     first, *rest = (getattr(weights, name) * part for name, part in parts.items())
     return sum(rest, first)
 
@@ -381,8 +381,8 @@ class GramObjective(StyleObjective):
     """StyleObjective with the distance of Gram matrices (Gatys et al. 2016) instead of nearest neighbors.
 
     The mean over blocks of sum (G - S)^2 / sum S^2, with G, S the Gram matrices of the image and the style image: 1 for
-    an image without features, 0 for the style image, with any extractor (docs/decisions/0010). Blocks without coverage
-    have distance 0.
+    an image without features, 0 for the style image, for any extractor (decision 0010). Blocks without coverage have
+    distance 0.
     """
 
     def _distance_of_features(
@@ -397,7 +397,7 @@ class GramObjective(StyleObjective):
 class TransportObjective(StyleObjective):
     """StyleObjective with optimal transport instead of nearest neighbors (see style/transport.py).
 
-    In each step POSITIONS random positions of a block stand for all of them.
+    In each step, POSITIONS random positions of a block represent all of them.
     """
 
     def _distance_of_features(
@@ -419,15 +419,15 @@ class TransportObjective(StyleObjective):
 
 
 def window_of(alpha: np.ndarray, min_side: int = 0) -> Window:
-    """Return the part of a view [h, w] that the object fills, plus a margin of 1/16 of the longer side and 8 pixels.
+    """Return the bounding box of the object in a view [h, w], plus a margin of 1/16 of the longer side and 8 pixels.
 
-    Background costs the feature extractor as much as the object, for nothing. The margin allows for moving geometry and
-    receptive fields. Sides are at multiples of 8 where possible, so that pooling aligns with that of the whole view.
+    Background costs the feature extractor as much as the object, to no effect. The margin allows for moving geometry
+    and receptive fields. Sides are at multiples of 8 where possible, so that pooling is aligned with the whole view's.
     Returns the whole view if it is empty.
 
     Args:
         alpha: [h, w].
-        min_side: Smallest side of the window, if the view is as large.
+        min_side: Minimum side of the window, if the view is as large.
     """
     margin = round(max(alpha.shape) / 16) + 8
     sides = []
@@ -437,7 +437,7 @@ def window_of(alpha: np.ndarray, min_side: int = 0) -> Window:
             return EVERYTHING
         wide = max(margin, -(-(min_side - (seen[-1] + 1 - seen[0])) // 2))
         first, last = max(0, seen[0] - wide) // 8 * 8, min(length, -(-(seen[-1] + 1 + wide) // 8) * 8)
-        # A window at the border grows inwards.
+        # A window at the border is extended inwards.
         first = max(0, min(first, last - min_side))
         last = min(length, max(last, first + min_side))
         sides.append(slice(int(first), int(last)))

@@ -1,4 +1,4 @@
-"""Style images with transparent parts, which show no style: they are not matched, and their colors do not count.
+"""Style images with transparent parts, which are not matched and whose colors do not count.
 
 A style image is [3, h, w], or [4, h, w] with an alpha of 0 or 1.
 """
@@ -11,23 +11,23 @@ from torch import Tensor
 
 from stylerf.errors import InvalidValue
 
-SHOWN = 0.5  # alpha from which a pixel is shown, and share of what a feature sees that must be
+SHOWN = 0.5  # minimum alpha of a visible pixel, and minimum fraction of a receptive field that must be visible
 
 
 def without_hidden_colors(pixels: np.ndarray) -> np.ndarray:
-    """Cut an image down to what it shows, and replace colors that it does not show.
+    """Crop an image to its visible pixels, and replace hidden colors.
 
-    Edges of a cutout would be strokes of their own: hidden pixels take the color of the nearest shown one.
+    The edges of a cutout would otherwise act as strokes, so hidden pixels get the color of the nearest visible one.
 
     Args:
         pixels: [h, w, 4] float32, straight alpha.
 
     Returns:
-        The smallest rectangle that holds all shown pixels: [h', w', 3] if it has no other, else [h', w', 4] with an
-        alpha of 0 or 1. Does not depend on hidden colors.
+        The bounding box of all visible pixels: [h', w', 3] if it has no hidden ones, else [h', w', 4] with an alpha of
+        0 or 1. Does not depend on hidden colors.
 
     Raises:
-        InvalidValue: No pixel is shown.
+        InvalidValue: No pixel is visible.
     """
     shown = pixels[..., 3] >= SHOWN
     if not shown.any():
@@ -42,7 +42,7 @@ def without_hidden_colors(pixels: np.ndarray) -> np.ndarray:
 
 
 def shown_colors(style_image: Tensor) -> Tensor:
-    """Return the colors of a style image [3 or 4, h, w] that count: the image itself, or [3, 1, n] of shown pixels."""
+    """Return the visible colors of a style image [3 or 4, h, w]: the image itself, or [3, 1, n] of visible pixels."""
     if style_image.shape[0] == 3:
         return style_image
     return style_image[:3, style_image[3] >= SHOWN][:, None]
@@ -51,12 +51,13 @@ def shown_colors(style_image: Tensor) -> Tensor:
 def shown_positions(alpha: Tensor, size: tuple[int, int], radius: int) -> Tensor:
     """Return which feature positions show the style: [h', w'] bool.
 
-    Both the pixels of a position and the square of 2 radius + 1 pixels that its feature sees must be shown by half.
+    At least half of a position's own pixels, and of its receptive field of 2 radius + 1 pixels squared, must be
+    visible.
 
     Args:
         alpha: [h, w] of the image that features are extracted from.
         size: (h', w').
-        radius: Of what a feature sees, pixels.
+        radius: Of the receptive field, pixels.
     """
     seen = F.avg_pool2d(alpha[None, None], 2 * radius + 1, 1, radius, count_include_pad=False)
     parts = F.interpolate(torch.cat([alpha[None, None], seen], dim=1), size=size, mode="area")[0]

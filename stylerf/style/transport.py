@@ -1,16 +1,16 @@
-"""Match features by entropic optimal transport: it uses more of the style image than nearest neighbors do.
+"""Match features by entropic optimal transport, which uses more of the style image than nearest neighbors do.
 
-Each content feature f_i has edges E to its K nearest style features s_j, of cost C = 1 - cos. The plan T minimizes
+Each content feature f_i has edges E to its K nearest style features s_j, with cost C = 1 - cos. The plan T minimizes
 
-    <T, C> - eps H(T) + tau KL(T^t 1 || b),   T 1 = a,   T = 0 beyond E
+    <T, C> - eps H(T) + tau KL(T^t 1 || b),   T 1 = a,   T = 0 outside E
 
 with a the weights of the positions (sum 1) and b uniform over the style features that have an edge: each f_i is
-matched in full, and a style feature that many prefer becomes expensive. With G = exp(-C/eps), T = diag(u) G diag(v):
+fully matched, and a popular style feature becomes expensive. With G = exp(-C/eps), T = diag(u) G diag(v):
 
-    u = a / (G v),   v = (b / (G^t u))^(tau / (tau + eps))           (Sinkhorn's iteration, relaxed: Chizat et al. 2018)
+    u = a / (G v),   v = (b / (G^t u))^(tau / (tau + eps))        (unbalanced Sinkhorn iterations: Chizat et al. 2018)
 
-tau 0 is a softmax over the K nearest; the larger tau is, the more evenly the style features are used. The form with K
-edges is that of CCFT ("SceneStyler", arXiv 2606.26754).
+tau = 0 is a softmax over the K nearest; the larger tau, the more evenly the style features are used. The form with K
+edges is from CCFT ("SceneStyler", arXiv 2606.26754).
 """
 
 import torch
@@ -29,13 +29,13 @@ def transport_targets(
     diversity: float,
     weights: Tensor | None = None,  # [n] > 0
 ) -> Tensor:
-    """Return what each content row is matched with: sum_j T_ij s_j / a_i, [n, c], of at most unit length.
+    """Return the target of each content row: sum_j T_ij s_j / a_i, [n, c], of at most unit length.
 
     The mean of 1 - <f_i, target_i> over positions, weighted by a, is <T, C>. There is no gradient through the plan.
 
     Args:
         diversity: tau, >= 0.
-        weights: Proportional to a; None for equal ones.
+        weights: Proportional to a; None: equal weights.
     """
     count = min(NEIGHBORS, len(style))
     cosines, chosen = (content @ style.T).topk(count, dim=1)  # [n, K]

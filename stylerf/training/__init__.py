@@ -1,1 +1,1 @@
-"""The optimization loop and what it needs."""
+"""Optimization loops and their building blocks."""

@@ -1,7 +1,7 @@
-"""The one place that picks the CPU's or a GPU's half of each training.
+"""The single place that selects the CPU or GPU implementation of each training.
 
-`device` is a torch device for the GPU kernels; None picks the CPU's. The trainers take what is picked here as an
-argument, the CPU's by default. Halves are imported when they are picked: a GPU's needs Triton.
+`device` is a torch device for the GPU kernels, or None for the CPU. Trainers take the selected implementation as an
+argument, by default the CPU's. Implementations are imported on selection, since the GPU's need Triton.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Device: TypeAlias = "str | torch.device | None"
 
 
 def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Callable[..., Engine]:
-    """Return the constructor of the engine of a fit; see Fitter. samples: intended density samples per step."""
+    """Return the constructor of a fit's engine; see Fitter. samples: target number of density samples per step."""
     if device is None:
         from stylerf.training.fit.engine import CpuEngine
 
@@ -38,7 +38,7 @@ def fit_engine(device: Device, samples: int, gradient_clip: float = 0.0) -> Call
 
 
 def edit_engine(device: Device) -> Callable[..., EditEngine]:
-    """Return the constructor of the engine of a local edit; see EditTrainer."""
+    """Return the constructor of a local edit's engine; see EditTrainer."""
     if device is None:
         from stylerf.training.edit.engine import CpuEditEngine
 
@@ -49,7 +49,7 @@ def edit_engine(device: Device) -> Callable[..., EditEngine]:
 
 
 def palette_module(device: Device, module: PaletteModule) -> PaletteEvaluator:
-    """A trained palette module, to be evaluated on the device."""
+    """Return an evaluator of a trained palette module on the device."""
     if device is None:
         return module
     from stylerf.editing.palette_module_gpu import GpuPaletteModule
@@ -58,7 +58,7 @@ def palette_module(device: Device, module: PaletteModule) -> PaletteEvaluator:
 
 
 def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.ndarray]], list[np.ndarray]] | None:
-    """Return what finds the ends of rays on a GPU; None: seen_of_view uses its own kernels."""
+    """Return a function that finds ray ends on a GPU, or None, for which seen_of_view uses its own kernels."""
     if device is None:
         return None
     from stylerf.editing.extraction_gpu import GpuRayEnds
@@ -67,7 +67,7 @@ def ray_ends(device: Device, field: RadianceField) -> Callable[[Camera, list[np.
 
 
 def finetune_engine(device: Device) -> Callable[..., FineTuneEngine]:
-    """Return the constructor of the engine of a fine-tuning; see FineTuner."""
+    """Return the constructor of a fine-tuning engine; see FineTuner."""
     if device is None:
         from stylerf.training.finetune.engine import CpuFineTuneEngine
 
@@ -78,7 +78,7 @@ def finetune_engine(device: Device) -> Callable[..., FineTuneEngine]:
 
 
 def deform_backend(device: Device) -> DeformBackend:
-    """Return the constructors of deformer and photo error; see DeformationFitter."""
+    """Return the constructors of the deformer and the photo error; see DeformationFitter."""
     if device is None:
         from stylerf.training.deform.deformer import Deformer, PhotoError
 
@@ -91,7 +91,7 @@ def deform_backend(device: Device) -> DeformBackend:
 
 
 def style_backend(device: Device) -> StyleBackend:
-    """Return the constructors of deformer and geometries of a stylization; see StyledScene."""
+    """Return the constructors of a stylization's deformer and geometries; see StyledScene."""
     from stylerf.training.stylize.scene import CPU, StyleBackend
 
     if device is None:

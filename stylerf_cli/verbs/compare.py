@@ -1,4 +1,4 @@
-"""`stylerf compare WORK...`: what runs cost and how good they are, with Pareto fronts; votes of people."""
+"""`stylerf compare WORK...`: cost and quality of runs, with Pareto fronts; people's votes."""
 
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from stylerf_cli.session import Session
 CONFIG = None
 NAMELESS = "a comparison is not an artifact"
 FOLDER = "comparison"
-MOST_PAIRS, LARGEST_PAGE = 60, 1000  # ten minutes of a person; a page of a few hundred MB
+MOST_PAIRS, LARGEST_PAGE = 60, 1000  # ten minutes of a person's time; a page of a few hundred MB
 
 
 def add_arguments(parser: Parser) -> None:
@@ -38,7 +38,7 @@ def add_arguments(parser: Parser) -> None:
         help="with --pairs, a stylized field to show; repeatable (default: all)",
     )
     parser.add_argument(
-        "--max-pairs", metavar="N", type=int, help=f"with --pairs, how many at most (default: {MOST_PAIRS})"
+        "--max-pairs", metavar="N", type=int, help=f"with --pairs, the largest number of pairs (default: {MOST_PAIRS})"
     )
     parser.add_argument(
         "--votes",
@@ -51,7 +51,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
-    """Return what compare.json, a page's key or votes.json holds, with the paths of what was written."""
+    """Return the contents of compare.json, a page's key or votes.json, with the paths of the written files."""
     if args.pairs and args.votes:
         raise UsageError("--pairs writes a page to vote on, --votes counts votes; give one of them")
     if not args.pairs and (args.of or args.max_pairs is not None):
@@ -61,7 +61,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
     if args.table is not None:
         return _table(args, session)
     if not args.works:
-        raise UsageError("no work folder is given; name at least one, or a table with --table")
+        raise UsageError("no work folder given; name at least one, or a table with --table")
     paths: dict[Path, Path] = {}
     for path in args.works:
         paths.setdefault(path.resolve(), path)

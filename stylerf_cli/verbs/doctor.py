@@ -127,7 +127,7 @@ def _kernels() -> list[dict[str, Any]]:
     why = not_kept or refusal(folder)
     if why:
         words = f"not kept: {why}"
-    how = "set STYLERF_CACHE to a folder that only you can write to; until then every run recompiles"
+    how = "set STYLERF_CACHE to a folder that only you can write to; until then every run recompiles them"
     return [_check("kernels", "cache", not why, words, how), _gpu_kernels()]
 
 

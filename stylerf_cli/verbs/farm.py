@@ -20,7 +20,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def build(config: type, options: Mapping[str, Any], where: str, others: tuple[type, ...] = ()) -> Any:
-    """Build the config of a verb from a mapping of the table; UsageError for what the command line would refuse."""
+    """Build the config of a verb from a mapping of the table; UsageError for what the command line would reject."""
     return build_config(config, Namespace(), dict(options), where, others)
 
 

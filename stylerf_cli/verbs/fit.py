@@ -6,7 +6,7 @@ from stages.configs.fit import FitConfig
 from stylerf_cli.arguments import Parser
 from stylerf_cli.session import Session, made
 
-if TYPE_CHECKING:  # imports numpy, for which `--help` must not wait
+if TYPE_CHECKING:  # imports numpy, which must not delay `--help`
     from schemas.work_folder import Artifact
 
 CONFIG = FitConfig

@@ -1,4 +1,4 @@
-"""`stylerf show PATH`: what a work folder or an artifact holds."""
+"""`stylerf show PATH`: the contents of a work folder or an artifact."""
 
 from pathlib import Path
 from typing import Any

@@ -28,7 +28,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def run(args: Any, session: Session) -> dict[str, Any]:
-    """Return what stress.json holds, with the paths of page and heat map."""
+    """Return the contents of stress.json, with the paths of page and heat map."""
     from stages.pipeline.stress import BASELINE, FOLDER
 
     pipeline, write = session.pipeline, args.write_baseline
@@ -42,7 +42,7 @@ def run(args: Any, session: Session) -> dict[str, Any]:
 
 
 def _words(result: dict[str, Any]) -> list[str]:
-    """One line per cell, with the reason of failures, then what was left out and the comparison with the baseline."""
+    """One line per cell, with the reason for failures, then what was left out and the comparison with the baseline."""
     lines = []
     for cell in result["cells"]:
         score = "no picture" if cell["median"] is None else f"{cell['median']:.3g}"

@@ -1,5 +1,5 @@
 """`stylerf stylize WORK --style IMAGE`: a scene, or with --region a part of it, in the strokes of a style image; with
---method palettenerf, a scene in other colors of its own palette."""
+--method palettenerf, a scene in other colors of its palette."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +28,7 @@ def options_for(argv: list[str]) -> type:
     method = next((value for flag, value in pairs if flag == "--method"), "")
     table = _table_of(next((value for flag, value in pairs if flag == "--config"), ""))
     if any(one.partition("=")[0] == "--region" for one in argv):
-        # A file may serve whole scenes too, whose other methods do not bind a region.
+        # A file may also be for whole scenes, whose other methods do not apply to a region.
         method = method or (WITHIN if table.get("method") == WITHIN else "")
         if method not in ("", WITHIN):
             raise UsageError(
@@ -48,7 +48,7 @@ def options_for(argv: list[str]) -> type:
 
 
 def _table_of(file: str) -> dict[str, Any]:
-    """Return the options for this verb in a --config file; none without a file, whose lack is reported later."""
+    """Return the options for this verb in a --config file; none if the file is missing, which is reported later."""
     content = read_toml(Path(file)) if Path(file).is_file() else {}
     own = content.get(NAME, {})
     top = {key: value for key, value in content.items() if not isinstance(value, dict)}

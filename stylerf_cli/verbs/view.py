@@ -20,7 +20,7 @@ def add_arguments(parser: Parser) -> None:
 
 
 def passed_on(args: Any, common: Common, file: Path | None) -> tuple[str, ...]:
-    """Return the common options that hold for the commands of the page too. file: that of --config."""
+    """Return the common options that also apply to the page's commands. file: that of --config."""
     found: tuple[str, ...] = ()
     for flag, value, default in (
         ("--seed", common.seed, 0), ("--threads", common.threads, None), ("--device", common.device, "auto"),

@@ -215,7 +215,7 @@ def verified(nursery: Nursery, work: Path, output: Path | None = None) -> str:
     if not work.is_dir():
         return ""
     ended = nursery.run(output or work.parent / "verify", "verify", work, "--quiet")
-    nothing = ended.code == 3 and "holds no artifact" in ended.err
+    nothing = ended.code == 3 and "contains no artifact" in ended.err
     return "" if ended.code == 0 or nothing else f"verify ends with {ended.code}: {ended.err.strip()}"
 
 

@@ -161,7 +161,7 @@ def test_chromaticities_that_are_no_colors_are_refused(tmp_path, chromaticities)
     target = oiio.ImageOutput.create(str(tmp_path / "a.exr"))
     assert target.open(str(tmp_path / "a.exr"), spec)
     assert target.write_image(np.ones((1, 2, 3), np.float32)) and target.close()
-    with pytest.raises(BadInput, match="chromaticities that are not colors"):
+    with pytest.raises(BadInput, match="invalid chromaticities"):
         read_srgb(tmp_path / "a.exr")
 
 

@@ -77,7 +77,7 @@ def test_what_is_not_a_lock_file_is_left_alone(tmp_path, kind):
         "letter": lambda: path.write_text("x"),
     }
     made[kind]()
-    with pytest.raises(WouldBeLost, match=r"\.fit\.lock is not a lock file"):
+    with pytest.raises(WouldBeLost, match=r"\.fit\.lock is not a stylerf lock file"):
         WorkFolder(tmp_path).begin("field", "fit", RECIPE)
     assert letter.read_text() == "Dear Sir" and not (tmp_path / "new").exists()
     assert {"document": "Dear Madam", "letter": "x"}.get(kind) in (None, path.is_file() and path.read_text())

@@ -76,9 +76,9 @@ DAMAGES = {
     "compressed": (lambda path: write_ply(path, ball(2) | {"packed_position": np.zeros(2, np.float32)}), "compressed"),
     "a list": (with_list, "a property that is not a number"),
     "faces": (with_faces, "a header of one element"),
-    "no header": (lambda path: path.write_bytes(b"ply\n" + b"comment x\n" * 10_000), "header does not end"),
-    "no PLY": (lambda path: path.write_bytes(b"\x89PNG"), "its header does not end|is not a PLY"),
-    "empty": (lambda path: path.touch(), "header does not end"),
+    "no header": (lambda path: path.write_bytes(b"ply\n" + b"comment x\n" * 10_000), "header has no end"),
+    "no PLY": (lambda path: path.write_bytes(b"\x89PNG"), "its header has no end|is not a PLY"),
+    "empty": (lambda path: path.touch(), "header has no end"),
 }
 
 

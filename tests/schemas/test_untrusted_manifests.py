@@ -190,7 +190,7 @@ def test_a_file_that_changes_while_it_is_copied_gets_no_sound_seal(tmp_path, mon
             stream.write(b"!")
 
     monkeypatch.setattr(shutil, "copyfile", altering)
-    with pytest.raises(ArtifactDamaged, match="changed while it was copied"):
+    with pytest.raises(ArtifactDamaged, match="changed while being copied"):
         work.copy(artifact, "other")
     assert [one.name for one in work.artifacts()] == ["fox"]
 

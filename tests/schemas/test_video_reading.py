@@ -148,9 +148,9 @@ def garbled(path):
 
 @pytest.mark.parametrize(
     "make, why",
-    [(audio_only, "has no picture, only audio"), (playlist, "not a readable video"), (concat, "not a readable video"),
-     (cut, "not a readable video"), (text, "not a readable video"), (lambda path: path.touch(), "not a readable"),
-     (garbled, "damaged|no frame")],
+    [(audio_only, "has no video stream, only audio"), (playlist, "not a readable video"),
+     (concat, "not a readable video"), (cut, "not a readable video"), (text, "not a readable video"),
+     (lambda path: path.touch(), "not a readable"), (garbled, "damaged|no frame")],
 )  # fmt: skip
 def test_what_is_no_whole_clip_is_refused_in_one_line(tmp_path, make, why):
     make(tmp_path / "clip.mp4")

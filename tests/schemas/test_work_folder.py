@@ -310,10 +310,10 @@ def test_a_dangling_link_is_reported_before_a_run_and_costs_no_result(tmp_path):
     work = WorkFolder(tmp_path)
     begun = work.begin("field", "fox", recipe())
     os.symlink(tmp_path / "gone", tmp_path / "field" / "fox")
-    with pytest.raises(WouldBeLost, match="field/fox is a link to nothing"):
+    with pytest.raises(WouldBeLost, match="field/fox is a broken link"):
         begun.commit()
     begun.release()
-    with pytest.raises(WouldBeLost, match="a link to nothing"):
+    with pytest.raises(WouldBeLost, match="a broken link"):
         work.begin("field", "fox", recipe())
     (tmp_path / "field" / "fox").unlink()
     assert work.begin("field", "fox", recipe()).resumed
@@ -418,9 +418,9 @@ def test_outdated_follows_inputs_to_the_scene(tmp_path):
     frames = make(work, "turn", "frames", inputs=[field.reference("field")])
     assert work.outdated(frames) == []
     make(work, "fox", "scene", seed=5)
-    assert work.outdated(frames) == ["scene fox was made again after field fox"]
+    assert work.outdated(frames) == ["scene fox was rebuilt after field fox"]
     shutil.rmtree(tmp_path / "scene" / "fox")
-    assert work.outdated(field) == ["scene fox, from which fox was made, is gone"]
+    assert work.outdated(field) == ["scene fox, from which fox was made, no longer exists"]
 
 
 def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_path):
@@ -428,10 +428,10 @@ def test_artifacts_that_were_made_from_each_other_are_each_looked_at_once(tmp_pa
     make(work, "a")
     make(work, "b", inputs=[work.get("field", "a").reference("field")])
     make(work, "a", inputs=[work.get("field", "b").reference("field")])
-    assert work.outdated(work.get("field", "b")) == ["field a was made again after field b"]
+    assert work.outdated(work.get("field", "b")) == ["field a was rebuilt after field b"]
     assert [one.name for one in sources_of(work.get("field", "b"))] == ["a"]
     make(work, "b", inputs=[work.get("field", "b").reference("field")])
-    assert work.outdated(work.get("field", "b")) == ["field b was made again after field b"]
+    assert work.outdated(work.get("field", "b")) == ["field b was rebuilt after field b"]
 
 
 def test_sources_are_reported_nearest_first_and_of_the_kinds_asked_for(tmp_path):
@@ -505,7 +505,7 @@ def test_a_name_that_differs_in_case_replaces_nothing(tmp_path, monkeypatch):
     (tmp_path / "field" / "Fox").symlink_to("fox")
     real = os.listdir
     monkeypatch.setattr(os, "listdir", lambda path: [name for name in real(path) if name != "Fox"])
-    with pytest.raises(WouldBeLost, match="field fox would be replaced: this disk takes Fox for it"):
+    with pytest.raises(WouldBeLost, match="field fox would be replaced: on this disk Fox is the same name"):
         work.begin("field", "Fox", recipe())
 
 

@@ -106,8 +106,8 @@ def test_parts_are_written_as_they_are_read():
     ("of", "why"),
     [
         (("a=0.7", "b=0.4"), "add up to 1.1"),
-        (("a=1", "b"), "leave nothing for it"),
-        (("a",), "alone is that field"),
+        (("a=1", "b"), "the other weights add up to 1"),
+        (("a",), "alone is not a blend"),
         (("a", "a=0.2"), "names a 2 times"),
         (("a:x", "a:x"), "names a:x 2 times"),
         (("a=-0.1",), "a number of 0 to 1"),

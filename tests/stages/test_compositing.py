@@ -87,13 +87,13 @@ def test_a_scene_without_lenses_is_told_to_be_imported_again(scene):
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"plate": True}, "plate needs"),
-        ({"st_map": True, "path": "spiral"}, "st-map needs"),
+        ({"plate": True}, "--plate needs"),
+        ({"st_map": True, "path": "spiral"}, "--st-map needs"),
         ({"cryptomatte": True, "exr": False}, "cryptomatte"),
         ({"cryptomatte": True, "regions": False}, "cryptomatte"),
         ({"colorspace": "acescg", "exr": False}, "colorspace"),
         ({"colorspace": "srgb"}, "colorspace"),
-        ({"deep_samples": 4}, "add deep"),
+        ({"deep_samples": 4}, "without --deep"),
         ({"deep": True, "deep_samples": 0}, "deep-samples"),
     ],
 )

@@ -138,5 +138,5 @@ def test_what_cannot_be_damaged_is_refused(source, tmp_path):
     with pytest.raises(BadInput, match="--test-every"):
         damaged(untested, tmp_path, "seeds")
     config = CorruptSceneConfig(source=str(source.path), source_digest="another")
-    with pytest.raises(ArtifactStale, match="was rebuilt meanwhile"):
+    with pytest.raises(ArtifactStale, match="was rebuilt during the run"):
         corrupt_scene.source_scene(config)

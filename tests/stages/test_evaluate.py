@@ -240,7 +240,7 @@ def test_a_rebuilt_or_missing_source_is_reported(fitted, tmp_path):
     frames = made.make_frames(work, "wall-test", "test", cameras, [made.look(v) for v in cameras], field)
     made.make_field(work, "wall", "fit", {"scene": scene}, config={"other": 1})
     _, report = evaluated(work, {"scene": scene, "frames": frames})
-    assert any("made again" in text for text in report["warnings"])
+    assert any("rebuilt after" in text for text in report["warnings"])
     (field.path / "manifest.json").unlink()
     _, report = evaluated(work, {"scene": scene, "frames": frames})
     assert any("cannot be read" in text for text in report["warnings"])

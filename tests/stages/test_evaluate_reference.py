@@ -78,9 +78,9 @@ def test_unusable_references_are_refused(stylized, tmp_path):
     write_png(tmp_path / "square.png", np.zeros((64, 64, 3), np.uint8))
     with pytest.raises(ValueError, match="VIEW=FILE"):
         EvaluateConfig(reference=("photo_00",))
-    with pytest.raises(BadInput, match="no view 'nowhere'; the scene's 4 views are photo_00"):
+    with pytest.raises(BadInput, match="view 'nowhere' not found; the scene's 4 views are photo_00"):
         References([f"nowhere={tmp_path / 'square.png'}"], SceneViews(scene), views)
-    with pytest.raises(BadInput, match="no file"):
+    with pytest.raises(BadInput, match=r"absent\.png not found"):
         References([f"photo_00={tmp_path / 'absent.png'}"], SceneViews(scene), views)
     found = References([f"photo_00={tmp_path / 'square.png'}"], SceneViews(scene), views)
     with pytest.raises(BadInput, match="64x64 but view test_0 is 96x72"):

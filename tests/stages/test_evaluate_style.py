@@ -195,7 +195,7 @@ def test_views_painted_in_2d_stand_beside_the_renders(stylized, tmp_path):
 
 def test_a_ceiling_needs_a_style_image(stylized):
     inputs, *_ = stylized
-    with pytest.raises(UsageError, match="name one with --style"):
+    with pytest.raises(UsageError, match="--ceiling needs a style image; give one with --style"):
         evaluate.pinned(EvaluateConfig(ceiling=5, perceptual="none"), inputs["base_frames"])
     with pytest.raises(ValueError, match="--ceiling -1: expected at least 0"):
         EvaluateConfig(ceiling=-1)

@@ -194,7 +194,7 @@ def test_what_cannot_be_reached_is_reported(tmp_path):
     config = FitConfig(budget="1", capacity="fixed:136x8x8", samples=1000, held_out=0)
     scene = make_capture(work)
     made, _ = execute(nerf_fit.SPEC, nerf_fit.run, work, "fit", {"scene": scene}, config, Context(progress=said))
-    assert "--capacity fixed:136x8x8 was not reached: 1 steps are too few" in said.lines
+    assert "--capacity fixed:136x8x8 was not reached: 1 steps were too few" in said.lines
     assert made.manifest.figures["resolution"] == 128 and "not reached" in made.manifest.figures["decisions"][-1]
 
 
@@ -217,7 +217,9 @@ def test_object_options_without_effect_are_reported_if_they_were_set(layout, spa
     assert said.lines == []
     report_ineffective_options(FitConfig(**OF_OBJECTS), layout, space, cut_out, Context(progress=said))
     assert len(said.lines) == bool(idle)
-    assert not idle or said.lines[0].startswith(f"no effect of {idle}, for objects cut out by transparency: layout")
+    assert not idle or said.lines[0].startswith(
+        f"no effect: {idle} (only for objects cut out by transparency); here layout"
+    )
 
 
 def test_object_options_are_reported_and_change_nothing_on_a_capture(tmp_path):
@@ -242,7 +244,7 @@ def test_a_bound_below_what_a_fit_takes_is_reported():
         assert len(said.lines) == reported
     said = Said()
     report_memory(settings(even), even, Context(progress=said, memory=800_000_000))
-    assert "--memory 800 MB is less than a field of 256^3 takes to fit, about 964 MB" in said.lines[0]
+    assert "--memory 800 MB is less than fitting a field of 256^3 needs, about 964 MB" in said.lines[0]
     small = settings(even, capacity="fixed:64x8x8")
     report_memory(small, even, Context(progress=said, memory=10**9))
     assert len(said.lines) == 1
@@ -256,10 +258,10 @@ def test_a_time_budget_says_what_comes_on_top_of_it():
         state=SimpleNamespace(seconds=5.0),
         dataset=SimpleNamespace(cameras=cameras),
     )  # fmt: skip
-    assert "60 s of training; on top" in nerf_fit.time_beside_training(FitConfig(), fitter)
+    assert "60 s of training, plus loading" in nerf_fit.time_beside_training(FitConfig(), fitter)
     assert "PNG" not in nerf_fit.time_beside_training(FitConfig(buffers=False), fitter)
     # 25 checks of 0.2 s; 1200 pixels where 400 take 0.2 s; of 8.4 s, 5 s are training and 0.4 s checks.
     assert nerf_fit.estimated_total(FitConfig(), fitter, 8.4) == (
-        "about 69 s or more in all: 60 s of training, 3 s of loading, 5 s of checks, 1 s of rendering 6 views"
+        "about 69 s or more in total: 60 s of training, 3 s of loading, 5 s of checks, 1 s of rendering 6 views"
     )
-    assert nerf_fit.estimated_total(FitConfig(buffers=False), fitter, 5.4).startswith("about 65 s or more in all")
+    assert nerf_fit.estimated_total(FitConfig(buffers=False), fitter, 5.4).startswith("about 65 s or more in total")

@@ -69,7 +69,7 @@ def test_a_second_scene_in_a_work_folder_is_refused(posed, tmp_path, capsys):
 
 def test_no_photos(tmp_path, capsys):
     (tmp_path / "source").mkdir()
-    assert "holds no photos" in refused(tmp_path / "source", capsys)
+    assert "contains no photos" in refused(tmp_path / "source", capsys)
     assert "does not exist" in refused(tmp_path / "nowhere", capsys)
     (tmp_path / "source" / "IMG_1.HEIC").write_bytes(b"x")
     line = refused(tmp_path / "source", capsys)
@@ -97,7 +97,11 @@ def test_photos_of_which_too_few_are_left_to_train_on(posed, capsys):
     assert main(["import", str(posed), str(work), "--quiet"]) == 0
     capsys.readouterr()
     line = reported(capsys, "fit", work)
-    assert "of 2 views 1 is to train on" in line and "--test-every 0" in line and not (work / "field" / "fit").exists()
+    assert (
+        "only 1 of 2 views is for training" in line
+        and "--test-every 0" in line
+        and not (work / "field" / "fit").exists()
+    )
 
 
 def test_black_photos(posed, capsys):
@@ -138,7 +142,7 @@ def test_truncated_truth_and_masks(posed, capsys):
     mask.write_bytes(mask.read_bytes()[:60])
     assert "masks/p03.png" in refused(posed, capsys)
     write_png(mask, np.full((18, 30), 255, np.uint8))
-    assert "p03.png is 30x18 where its photo is 48x36" in refused(posed, capsys)
+    assert "p03.png is 30x18, but its photo is 48x36" in refused(posed, capsys)
     mask.unlink()
     flat = np.ones((36, 48), np.float32)
     view = ExrView(np.ones((36, 48, 3), np.float32), flat, flat, flat, np.eye(4), (45, 45, 24, 18), 0.1, 9.0)
@@ -171,7 +175,7 @@ def test_missing_photos_are_named_and_too_many_missing_refused(posed, tmp_path, 
 def test_a_photo_of_another_size_than_its_camera(posed, capsys):
     write_png(posed / "images" / "p02.png", np.full((40, 48, 3), 99, np.uint8))
     line = refused(posed, capsys)
-    assert "images/p02.png: the photo is 48x40 where its camera says 48x36" in line
+    assert "images/p02.png: the photo is 48x40, but its camera expects 48x36" in line
 
 
 def test_names_that_lead_out_of_the_folder_stay_inside_the_artifacts(source, tmp_path):
@@ -229,9 +233,9 @@ POSES = {
     "transposed": (lambda pose: pose.T.tolist(), "as its last row, expected 0 0 0 1; is it transposed?"),
     "mirrored": (lambda pose: (pose * [[-1, 1, 1, 1]]).tolist(), "mirrored"),
     "zero": (lambda pose: np.diag([0.0, 0, 0, 1]).tolist(), "is not a rotation"),
-    "3x3": (lambda pose: pose[:3, :3].tolist(), "no 4x4 matrix"),
-    "ragged": (lambda pose: [[1, 2], [3]], "no 4x4 matrix"),
-    "text": (lambda pose: "identity", "no 4x4 matrix"),
+    "3x3": (lambda pose: pose[:3, :3].tolist(), "not a 4x4 matrix"),
+    "ragged": (lambda pose: [[1, 2], [3]], "not a 4x4 matrix"),
+    "text": (lambda pose: "identity", "not a 4x4 matrix"),
 }
 
 
@@ -267,11 +271,11 @@ def test_lenses_that_are_none(source, capsys, name):
 
 def test_cameras_of_colmap_that_are_none(source, capsys):
     for camera, words in (
-        ("1 HOLOGRAM 48 36 45 45 24 18", "of a model that is not known, HOLOGRAM"),
+        ("1 HOLOGRAM 48 36 45 45 24 18", "unknown model HOLOGRAM"),
         ("1 PINHOLE 48 36 0 0 24 18", "focal length 0"),
         ("1 PINHOLE 48 36 nan 45 24 18", "cameras.txt is damaged"),
-        ("1 PINHOLE 48 36 45", "has 1 parameters where PINHOLE has 4"),
-        ("1 PINHOLE 50 36 45 45 24 18", "the photo is 48x36 where its camera says 50x36"),
+        ("1 PINHOLE 48 36 45", "has 1 parameters, but PINHOLE has 4"),
+        ("1 PINHOLE 50 36 45 45 24 18", "the photo is 48x36, but its camera expects 50x36"),
         ("2 PINHOLE 48 36 45 45 24 18", "has camera 1, which is missing"),
     ):
         capture.write_colmap(source, camera)
@@ -290,11 +294,11 @@ def test_cameras_of_colmap_that_are_none(source, capsys):
     ("spoil", "words"),
     [
         (lambda rows: rows[:3], "holds 3 poses but"),
-        (lambda rows: rows[:, :16], "LLFF's is n x 17"),
+        (lambda rows: rows[:, :16], "expected n x 17"),
         (lambda rows: np.where(np.arange(17) == 16, 0.5, rows), "depth bounds"),
         (lambda rows: np.where(np.arange(17) == 14, 0.0, rows), "focal length 0"),
         (lambda rows: np.where(np.arange(17) == 0, NAN, rows), "NaN or infinity"),
-        (lambda rows: np.where(np.arange(17) == 9, NAN, rows), "gives a size"),
+        (lambda rows: np.where(np.arange(17) == 9, NAN, rows), "has an invalid size"),
         (lambda rows: rows.astype(object), "cannot be read"),
     ],
 )
@@ -309,18 +313,18 @@ def npy(header: str, data: bytes = b"") -> bytes:
 
 
 NO_POSES = {
-    "npz": (None, "a zip archive, as .npz is"),
-    "pickle": (pickle.dumps([1, 2]), "no .npy file"),
+    "npz": (None, "a zip archive like .npz"),
+    "pickle": (pickle.dumps([1, 2]), "not a .npy file"),
     "huge": (
         npy("{'descr': '<f8', 'fortran_order': False, 'shape': (9000000000, 17)}"),
-        "cut short: its header declares",
+        "truncated: its header declares",
     ),
     "deep": (npy("{'descr': " + "[" * 5000 + "}"), "cannot be read"),
     "long": (npy("{" + " " * 50000 + "}"), "cannot be read"),
     "objects": (npy("{'descr': '|O', 'fortran_order': False, 'shape': (0, 17)}"), "cannot be read"),
-    "named columns": (npy("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0, 17)}"), "LLFF's is n x 17"),
+    "named columns": (npy("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (0, 17)}"), "expected n x 17"),
     "negative": (npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 17)}", b"0" * 136), "cannot be read"),
-    "text": (b"1 2 3\n", "no .npy file"),
+    "text": (b"1 2 3\n", "not a .npy file"),
 }
 
 

@@ -168,11 +168,11 @@ def test_blends_that_cannot_be_are_refused_in_a_line(styles, capsys):
         (2, "is not written FIELD", ("painting-arf:left:right",)),
         (2, "2 times", ("painting-arf", "painting-arf=0.5")),
         (2, "2 times", ("painting-arf=0.5", "painting=0.5")),
-        (2, "leave nothing for it", ("painting-arf=1", "other")),
-        (2, "alone is that field", ("painting-arf",)),
+        (2, "the other weights add up to 1", ("painting-arf=1", "other")),
+        (2, "alone is not a blend", ("painting-arf",)),
         (2, "none found", ("painting-arf=0.5", "missing")),
         (2, "none found", ("painting-arf", "other:missing")),
-        (2, "was made from no other field", ("fit=0.5",)),
+        (2, "is not derived from another field", ("fit=0.5",)),
     ):
         assert expected in refused(capsys, code, "blend", work, "--of", *parts)
     assert "--of is required" in refused(capsys, 2, "blend", work)
@@ -180,7 +180,7 @@ def test_blends_that_cannot_be_are_refused_in_a_line(styles, capsys):
 
 
 def test_strengths_that_cannot_be_are_refused_in_a_line(work, capsys):
-    assert "from no other field" in refused(capsys, 2, "render", work, "--of", "fit", "--strength", "0.5")
+    assert "is not derived from another field" in refused(capsys, 2, "render", work, "--of", "fit", "--strength", "0.5")
     assert "strength must be 0 to 1" in refused(capsys, 2, "render", work, "--strength", "1.5")
     assert "expected a number" in refused(capsys, 2, "render", work, "--strength", "nan")
     shutil.rmtree(work / "field" / "fit")
@@ -191,15 +191,15 @@ def test_fields_of_two_fits_are_refused(styles, capsys):
     fit = ("--budget", "3", "--no-buffers", "--capacity", "fixed:32x8x8", "--samples", "3000")
     said(capsys, "fit", styles, *fit, "--name", "second", "--seed", "1")
     line = refused(capsys, 2, "blend", styles, "--of", "painting-arf=0.5", "second=0.5")
-    assert "not made from one field" in line and "painting-arf from fit" in line
+    assert "not derived from the same field" in line and "painting-arf from fit" in line
 
 
 def test_a_blend_is_not_trained_further(styles, capsys):
     said(capsys, "blend", styles, "--of", "painting-arf=0.5", "--name", "half")
     photo = styles / "field" / "painting-arf" / "style.png"
-    assert "colors that no photo shows" in refused(capsys, 2, "stylize", styles, "--of", "half", "--style", photo)
+    assert "are not in the photos" in refused(capsys, 2, "stylize", styles, "--of", "half", "--style", photo)
     options = ("--of", "half", "--box", "-9", "-9", "-9", "-0.25", "9", "9", "--recolor", "--palette", "all=#00ff00")
-    assert "whose colors cannot learn" in refused(capsys, 2, "edit", styles, *options)
+    assert "is a blend, which cannot be trained" in refused(capsys, 2, "edit", styles, *options)
 
 
 def test_a_deformed_stylization_is_rendered_half_as_bent(work, capsys):

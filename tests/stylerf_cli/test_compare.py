@@ -131,7 +131,7 @@ def test_votes_on_a_page_of_pairs_are_counted(stylized, tmp_path, capsys):
         (["--max-pairs", "5"], 2, "add --pairs"),
         (["--of", "red"], 2, "add --pairs"),
         (["--pairs", "--max-pairs", "0"], 2, "--max-pairs 0: expected 1 to"),
-        (["--pairs", "--of", "green"], 2, "--of green: no such stylization"),
+        (["--pairs", "--of", "green"], 2, "--of green: unknown stylization"),
         (["--pairs", "--of", "red"], 4, "no two stylizations"),
         (["--votes", "gone.json"], 3, "gone.json: no such file"),
     ],

@@ -237,8 +237,8 @@ def test_a_reference_is_of_a_view_of_the_scene_by_name_or_number(work, renderer,
     write_png(tmp_path / "red.png", np.zeros((72, 96, 3), np.uint8))
     requested = [str(work.root), "--of", "red", *FAST, "--reference"]
     for reference, code, reported in (
-        (f"2={tmp_path}/red.png", 3, "--reference: there is no view '2'; the scene's 2 views are photo_00, photo_01"),
-        ("1=/nowhere.png", 3, "no file /nowhere.png"),
+        (f"2={tmp_path}/red.png", 3, "--reference: view '2' not found; the scene's 2 views are photo_00, photo_01"),
+        ("1=/nowhere.png", 3, "/nowhere.png not found"),
         ("photo_01", 2, "written VIEW=FILE"),
     ):
         assert main(["eval", *requested, reference]) == code

@@ -104,10 +104,10 @@ def test_another_base_may_be_named(work, edited, masks, renderer, capsys):
 @pytest.mark.parametrize(
     ("options", "code", "reported"),
     [
-        (("--region", "left"), 2, "was made from no other field"),
+        (("--region", "left"), 2, "is not derived from another field"),
         (("--base", "blue"), 2, "--region"),
         (("--train-views",), 2, "--region"),
-        (("--region", "right"), 2, "one region called 'right' expected"),
+        (("--region", "right"), 2, "expected one region called 'right'"),
         (("--of", "blue", "--masks", "/nowhere"), 3, "--masks /nowhere"),
     ],
 )

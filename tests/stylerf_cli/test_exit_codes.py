@@ -50,14 +50,14 @@ def paintings(tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("missing.jpg", "there is no such image"),
-        ("folder.png", "there is no such image"),
+        ("missing.jpg", "image not found"),
+        ("folder.png", "image not found"),
         ("text.png", "is not a readable image"),
         ("empty.jpg", "is not a readable image"),
-        ("cut.png", "cannot be read whole"),
-        ("cut.jpg", "cannot be read whole"),
-        ("nan.exr", "holds NaN"),
-        ("narrow.png", "is 3x64; a style image of at least 16 pixels a side is needed"),
+        ("cut.png", "cannot be read completely"),
+        ("cut.jpg", "cannot be read completely"),
+        ("nan.exr", "contains NaN"),
+        ("narrow.png", "is 3x64; a style image needs at least 16 pixels per side"),
     ],
 )
 def test_paintings_that_are_none_are_refused_before_any_work(paintings, capsys, name, words):
@@ -117,13 +117,13 @@ def test_methods_whose_options_do_not_go_together(paintings, capsys, monkeypatch
 @pytest.mark.parametrize(
     ("reference", "words"),
     [
-        ("#0={}/missing.png", "there is no such image"),
-        ("#0={}/cut.png", "cannot be read whole"),
-        ("nobody={}/sound.png", "there is no view 'nobody'; the nearest of the scene's 12 views are"),
-        ("99={}/sound.png", "there is no view '99'"),
-        ("held out={}/sound.png", "is held out for evaluation; give a training view"),
-        ("#0={}/wide.png", "is 80x64 where view #0 is 32x32"),
-        ("#0={}/narrow.png", "at least 16 pixels a side"),
+        ("#0={}/missing.png", "image not found"),
+        ("#0={}/cut.png", "cannot be read completely"),
+        ("nobody={}/sound.png", "view 'nobody' not found; the nearest of the scene's 12 views are"),
+        ("99={}/sound.png", "view '99' not found"),
+        ("held out={}/sound.png", "is held out for evaluation; choose a training view"),
+        ("#0={}/wide.png", "is 80x64, but view #0 is 32x32"),
+        ("#0={}/narrow.png", "at least 16 pixels per side"),
     ],
 )
 def test_references_that_are_none(work, paintings, capsys, reference, words):
@@ -150,7 +150,7 @@ def test_a_sound_painting_gets_past_that(paintings, capsys):
 def test_a_painting_to_measure_against_that_is_none(work, paintings, capsys):
     for name, words in (
         ("missing.jpg", "no such file"),
-        ("cut.png", "cannot be read whole"),
+        ("cut.png", "cannot be read completely"),
         ("text.png", "not a readable"),
     ):
         line = reported(capsys, 3, "eval", work, "--of", "fit", "--style", paintings / name, "--perceptual", "none")
@@ -189,15 +189,15 @@ PATHS = {
     "no JSON": ("{", "is not valid JSON"),
     "binary": ("\x00\x01", "is not valid JSON"),
     "nested without end": ("[" * 100_000, "is nested too deeply"),
-    "an object": (json.dumps(SOUND), "a list of cameras was expected"),
-    "nothing": ("[]", "a list of cameras was expected"),
+    "an object": (json.dumps(SOUND), "expected a list of cameras"),
+    "nothing": ("[]", "the list of cameras is empty"),
     "numbers": ("[1, 2]", "camera 0 is invalid"),
     "no pose": (json.dumps([SOUND, {"width": 3}]), "camera 1 is invalid"),
     "NaN": (json.dumps([SOUND | {"world_from_camera": np.full((4, 4), math.nan).tolist()}]), "camera 0 is invalid"),
     "scaled": (json.dumps([SOUND | {"world_from_camera": SCALED}]), "not a rotation"),
     "huge": (json.dumps([SOUND | {"world_from_camera": (1e300 * np.eye(4)).tolist()}]), "camera 0"),
     "transposed": (json.dumps([SOUND | {"world_from_camera": TRANSPOSED}]), "the last row of its pose is not 0 0 0 1"),
-    "an object of no list": (json.dumps({"views": SOUND}), "a list of cameras was expected"),
+    "an object of no list": (json.dumps({"views": SOUND}), "the list of cameras is empty"),
     "no camera": (json.dumps({"views": [{"camera": None}]}), "camera 0 is invalid"),
     "3x3": (json.dumps([SOUND | {"world_from_camera": np.eye(3).tolist()}]), "camera 0 is invalid"),
     "no size": (json.dumps([SOUND | {"width": 0}]), "camera 0 is invalid"),
@@ -277,7 +277,7 @@ def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name)
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("bugdet = '60s'", "no option 'bugdet'; did you mean 'budget'"),
+        ("bugdet = '60s'", "unknown option 'bugdet'; did you mean 'budget'"),
         ("budget = 60", "budget takes a text in quotes"),
         ("budget = 'soon'", "'soon' is neither a time"),
         ("samples = 'many'", "samples takes a whole number"),
@@ -285,7 +285,7 @@ def test_a_name_that_is_none_is_refused_before_any_work(paintings, capsys, name)
         ("background = 'green'", "white, black, random"),
         ("buffers = 'yes'", "true or false"),
         ("seed = 'seven'", "seed takes a value of type int"),
-        ("[fti]\nbudget = '60s'", "no verb 'fti'; did you mean 'fit'"),
+        ("[fti]\nbudget = '60s'", "unknown verb 'fti'; did you mean 'fit'"),
         ("budget = ", "is not valid TOML"),
         ("\x00", "is not valid TOML"),
     ],

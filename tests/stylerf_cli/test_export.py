@@ -32,9 +32,9 @@ def test_cameras_need_no_field(work, capsys):
 @pytest.mark.parametrize(
     "options, said",
     [
-        (["--as", "mesh", "--format", "fbx"], "there is no 'fbx'"),
-        (["--as", "cameras", "--faces", "500"], "--faces would do nothing"),
-        (["--as", "cameras", "--path", "no/such/file"], "neither a known path nor a file"),
+        (["--as", "mesh", "--format", "fbx"], "'fbx' is unknown"),
+        (["--as", "cameras", "--faces", "500"], "--faces has no effect"),
+        (["--as", "cameras", "--path", "no/such/file"], "neither a known camera path nor an existing file"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(work, capsys, options, said):

@@ -116,7 +116,7 @@ def test_a_second_run_on_the_folder_is_refused(bench):
         ran = bench.farm()
     finally:
         lock.release()
-    assert ran.code == 5 and "is being filled by another `stylerf farm`" in ran.result["error"]
+    assert ran.code == 5 and "is in use by another `stylerf farm`" in ran.result["error"]
 
 
 def test_the_plan_runs_nothing(tmp_path, capsys):

@@ -276,7 +276,7 @@ def test_a_second_edit_keeps_the_first_and_either_can_be_restored(edited, middle
     # What the first edit made of the ball, the second leaves as it is, but for a seam.
     assert np.abs(shift(1, 2, in_ball & (views[0].masks["table"] < 0.01))).max() < 0.03
     again = ("--colors", "field", "--budget", "5", "--name", "whole-table")
-    assert "holds a local edit over its colors" in refused(capsys, "finetune", edited, "--edit", "table", *again)
+    assert "a local edit that covers its own colors" in refused(capsys, "finetune", edited, "--edit", "table", *again)
 
 
 def test_a_palette_of_the_whole_scene_is_learned_from_edited_pictures(edited, capsys):
@@ -435,7 +435,7 @@ def test_regions_are_joined_and_cut(edited, capsys):
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        (["select", "--at", "nowhere:1,1"], "there is no view 'nowhere'"),
+        (["select", "--at", "nowhere:1,1"], "view 'nowhere' not found"),
         (["select", "--at", "MIDDLE", "--most", "0.0001"], "has grown over"),
         (["select"], "nothing is selected"),
         (["select", "--at", "FIRST:400,1"], "48x48 pixels"),
@@ -467,7 +467,7 @@ def test_bad_requests_are_one_line_and_lose_nothing(edited, middle, capsys, flag
 def test_a_scribble_of_another_size_or_of_nothing_is_refused(edited, middle, capsys, tmp_path):
     first = middle.partition(":")[0]
     write_png(tmp_path / "small.png", np.full((8, 8, 3), 255, np.uint8))
-    assert "8x8 pixels where view" in refused(capsys, "select", edited, "--scribble", f"{first}={tmp_path}/small.png")
+    assert "8x8 pixels, but view" in refused(capsys, "select", edited, "--scribble", f"{first}={tmp_path}/small.png")
     write_png(tmp_path / "black.png", np.zeros((48, 48, 3), np.uint8))
     assert "no pixel of the scribble" in refused(
         capsys, "select", edited, "--scribble", f"{first}={tmp_path}/black.png"
@@ -492,7 +492,7 @@ def test_seeds_that_meet_nothing_are_refused_or_reported(edited, middle, capsys,
     assert main(["select", str(edited), *drawn]) == 0
     assert "75% of the scribble hits nothing" in capsys.readouterr().err
     write_png(tmp_path / "drawn.png", 255 * empty.astype(np.uint8))
-    assert "no pixel of the scribble meets anything" in refused(capsys, "select", edited, *drawn)
+    assert "the scribble hits nothing in the field" in refused(capsys, "select", edited, *drawn)
 
 
 def test_an_edit_of_a_region_of_another_field_is_refused(edited, capsys, tmp_path):

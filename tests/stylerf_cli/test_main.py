@@ -115,8 +115,8 @@ def test_json_in_process(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "verb is missing"),
-        (["tyo"], "no verb 'tyo'; did you mean 'toy'?"),
+        ([], "no verb given"),
+        (["tyo"], "unknown verb 'tyo'; did you mean 'toy'?"),
         (["--frob"], "--frob"),
         (["toy"], "required: work"),
         (["toy", "w", "--stepz", "3"], "did you mean '--steps'?"),
@@ -128,7 +128,7 @@ def test_json_in_process(tmp_path, capsys):
         (["toy", "w", "--threads", "0"], "at least 1"),
         (["toy", "w", "--seed", "-1"], "--seed is -1; expected 0 to 4294967295"),
         (["toy", "w", "--seed", "4294967296"], "--seed is 4294967296"),
-        (["toy", "w", "--config", "absent.toml"], "absent.toml cannot be read"),
+        (["toy", "w", "--config", "absent.toml"], "absent.toml: file not found"),
         *(
             ([verb, *(["w"] if verb != "doctor" else []), "--name", "mine"], "leave it out")
             for verb in ("stress", "compare", "show", "verify", "doctor", "demo")

@@ -49,12 +49,12 @@ def test_a_demo_replaces_neither_scenes_nor_photos_of_others(posed, tmp_path, ca
     said(capsys, "import", str(posed), str(work))
     before = WorkFolder(work).get("scene", "main").digest
     assert main(["demo", str(work), "--quiet", *DEMO]) == 2
-    assert "scene/main was not made by the demo" in capsys.readouterr().err
+    assert "scene/main was not created by the demo" in capsys.readouterr().err
     assert WorkFolder(work).get("scene", "main").digest == before and not (work / "photos").exists()
     (tmp_path / "new" / "photos").mkdir(parents=True)
     (tmp_path / "new" / "photos" / "mine.jpg").write_bytes(b"mine")
     assert main(["demo", str(tmp_path / "new"), "--quiet", *DEMO]) == 2
-    assert "photos was not made by the demo" in capsys.readouterr().err
+    assert "photos was not created by the demo" in capsys.readouterr().err
 
 
 def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
@@ -65,7 +65,7 @@ def test_a_demo_knows_its_own_even_where_it_was_moved(photos, tmp_path, capsys):
     moved = work.rename(tmp_path / "moved")
     refuse_others(WorkFolder(moved), moved / "photos")
     shutil.rmtree(moved / "photos")
-    with pytest.raises(UsageError, match="not made by the demo"):
+    with pytest.raises(UsageError, match="not created by the demo"):
         refuse_others(WorkFolder(moved), moved / "photos")
 
 
@@ -157,7 +157,7 @@ def test_shards_of_a_path_are_the_bytes_of_the_whole(demo, capsys):
 @pytest.mark.parametrize(
     ("arguments", "code", "word"),
     [
-        (("stylize", "--style", "missing.jpg"), 3, "no such image"),
+        (("stylize", "--style", "missing.jpg"), 3, "image not found"),
         (("stylize", "--style", "tiny.png"), 3, "16 pixels"),
         (("fit", "--budget", "soon"), 2, "soon"),
         (("fit", "--capacity", "fixed:9x3"), 2, "fixed:9x3"),

@@ -42,7 +42,7 @@ def test_a_disk_that_takes_no_more_stops_a_stage_which_then_goes_on(long_stage, 
     stage, work = long_stage(name)
     said = work.parent / "said"
     limited = nursery.run(said, *stage.command("limited"), limits={"RLIMIT_FSIZE": SMALL_FILE})
-    assert "free some and run the same command" in assert_refused(limited, "no space left to write")
+    assert "free some space and run the same command" in assert_refused(limited, "no space left to write")
     assert not (work / stage.kind / "limited").exists()
     assert half_written(work) == []
     for artifact in WorkFolder(work).artifacts():

@@ -152,7 +152,7 @@ def test_a_region_of_another_space_is_left_out_and_named(work, regions, capsys):
     folder, result, notes = rendered(work, capsys, *TEST)
     assert result["regions"] == ["all+", "low"] and set(read_frames(folder).masks) == {"all+", "low"}
     (line,) = [line for line in notes.splitlines() if "elsewhere" in line]
-    assert "space of another field than fit" in line
+    assert "space of a different field than fit" in line
 
 
 def test_pictures_of_regions_without_regions_are_refused(work, capsys):

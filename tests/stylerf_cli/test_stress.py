@@ -134,7 +134,7 @@ def test_a_second_stress_of_a_work_folder_is_refused_until_the_first_ends(folder
     assert codes == [(5, 4), (5, 0)]  # nothing stood at first
     reported = f"stress runs is being written by another process ({os.getpid()} on "
     err = capsys.readouterr().err
-    assert reported in err and "wait for it to end, or add --only" in err
+    assert reported in err and "wait for it to finish, or add --only" in err
     runs.during = lambda: None
     assert stress(folder, "--force") == 0
     runs.raising["fit", "seeds", 0] = OutOfResources("no space")
@@ -148,7 +148,7 @@ def test_nothing_stands_and_nothing_faces(folder, runs, capsys):
     assert not (folder / "stress").exists()  # not even a painting
     assert main(["stress", str(folder), "--methods", "fit", "--faults", "style-white"]) == 2
     assert main(["stress", str(folder), "--methods", "magic"]) == 2
-    assert "known are fit, fit-hash" in capsys.readouterr().err
+    assert "choose from fit, fit-hash" in capsys.readouterr().err
 
 
 def test_what_breaks_has_failed_and_what_the_machine_refuses_ends_it(folder, runs, capsys):
@@ -361,7 +361,7 @@ def test_a_baseline_of_other_cells_passes_nothing(folder, runs, capsys, tmp_path
 
     for other in ((["snerf"], ["blur"]), (["fit"], ["jpeg"]), (["fit"], ["blur"], "--remedies", "on")):
         assert against(*other) == 2  # before anything is run
-        assert "holds no cell of these methods" in capsys.readouterr().err
+        assert "contains no cells for these methods" in capsys.readouterr().err
     assert len(runs.made) == made
     assert against(["fit"], ["blur", "jpeg"]) == 0
     out = capsys.readouterr().out

@@ -91,7 +91,7 @@ def test_edited_fields_are_stylized_by_edited_photos_stylized_ones_never(work, t
         assert inputs == {"scene": scene, "field": of}
     capsys.readouterr()
     assert main(["stylize", str(work.root), "--style", str(style), "--of", "of-vase-red", "--name", "twice"]) == 2
-    assert "field of-vase-red has colors that no photo shows" in (reported := capsys.readouterr().err)
+    assert "the colors of field of-vase-red are not in the photos" in (reported := capsys.readouterr().err)
     assert "Start from --of vase-red," in reported
 
 

@@ -1,1 +1,1 @@
-"""Panels of the page, a module each, with `add(page)`: controls around the part of the desk that does the work."""
+"""Panels of the page, one module each, with `add(page)`: controls for the part of the desk that does the work."""

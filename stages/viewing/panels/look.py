@@ -1,4 +1,4 @@
-"""Look: which field, beside which other, which plane, the scene's cameras, a picture to keep."""
+"""Look: the field, the field compared with it, the plane, the scene's cameras, saved pictures."""
 
 from typing import Any
 

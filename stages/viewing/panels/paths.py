@@ -1,4 +1,4 @@
-"""Paths: keyframes, the spline through them, play, a file that `stylerf render --path` takes, and its frames."""
+"""Paths: keyframes, the spline through them, playback, a file for `stylerf render --path`, and its frames."""
 
 import time
 from typing import Any

@@ -1,4 +1,4 @@
-"""Recolor: the colors of a palette with their shares; color, weight and bias of each; kept as a field or an edit."""
+"""Recolor: the colors of a palette with their shares; color, weight and bias of each; saved as a field or an edit."""
 
 import threading
 from typing import Any
@@ -27,7 +27,7 @@ def add(page: Any) -> None:
         now = [NONE, *recolorer.palettes()]
         if tuple(palette.options) != tuple(now):
             palette.options = now
-        if recolorer.palette != opened_here[-1]:  # opened elsewhere, such as by a region's stylization
+        if recolorer.palette != opened_here[-1]:  # opened elsewhere, such as by stylizing a region
             palette.value = recolorer.palette or NONE
         tell()
 

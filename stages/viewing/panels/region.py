@@ -21,7 +21,7 @@ def add(page: Any) -> None:
         return "" if control.value == NONE else control.value
 
     stages: list[tuple[str, str, Callable[[], list[str]]]] = [
-        ("1. Extract", "What the views show of the region", lambda: extract_command(work, chosen(region))),
+        ("1. Extract", "Renders what the views show of the region", lambda: extract_command(work, chosen(region))),
         ("3. Distill", "Paints the edit into the photos", lambda: distill_command(work, chosen(edit))),
         ("4. Fine-tune", "Trains a field on them", lambda: finetune_command(work, chosen(edit), int(seconds.value))),
         ("Deform the field", "So that desrf can bend its shapes", lambda: deform_command(work, desk.display.field)),

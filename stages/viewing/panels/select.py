@@ -1,4 +1,4 @@
-"""Select: seeds by clicks and strokes, a box, growing, other regions; kept as a region."""
+"""Select: seeds by clicks and strokes, a box, growing, other regions; saved as a region."""
 
 from typing import Any
 
@@ -15,12 +15,12 @@ def add(page: Any) -> None:
     selector = desk.selector
     mode = gui.add_dropdown("Pointer", MODES, initial_value="look")
     page.controls["pointer"] = mode
-    gui.add_markdown("*click*: it grows. *erase*: it does not belong. Drag with Shift: a stroke, or at *box* a box.")
+    gui.add_markdown("*click*: add and grow. *erase*: exclude. Drag with Shift: a stroke, or in *box* mode a box.")
     start = selector.history.now
     tolerance = gui.add_slider("Color tolerance", 0.0, 60.0, 1.0, start.tolerance)
     page.controls["tolerance"] = tolerance
     steps = gui.add_slider("Growing steps", 0, MOST_STEPS, 1, start.steps)
-    cells = gui.add_number("Cells a step", start.iterations, min=1, max=10_000_000, step=1000)
+    cells = gui.add_number("Cells per step", start.iterations, min=1, max=10_000_000, step=1000)
     with gui.add_folder("With other regions", expand_by_default=False):
         other = gui.add_dropdown("Region", ["(none)", *desk.library.regions(desk.display.field)])
         how = gui.add_dropdown("Do", HOW)

@@ -1,4 +1,4 @@
-"""Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and keep."""
+"""Stylize: a painting, cropped and zoomed; method and strokes; a run to watch, stop, resume and save."""
 
 from collections.abc import Callable
 from functools import partial
@@ -26,18 +26,18 @@ def add(page: Any) -> None:
     method = gui.add_dropdown("Method", METHODS)
     strength = gui.add_slider("Strength", 0.1, 4.0, 0.1, 1.0)
     stroke = gui.add_slider("Stroke size", 0.25, 4.0, 0.05, 1.0)
-    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m); of the whole scene also a number of style steps")
+    budget = gui.add_text("Budget", "60s", hint="Time (60s, 2m); for the whole scene also a number of style steps")
     name = gui.add_text("Name", "stylized")
     run = gui.add_button("Run")
     stop = gui.add_button("Stop")
-    keep = gui.add_button("Keep as it is", hint="Ends the run and makes a field of the steps that it has taken")
+    keep = gui.add_button("Keep as it is", hint="Ends the run and makes a field from the steps taken so far")
     shown = gui.add_markdown("")
 
     def part() -> np.ndarray | None:
         image = state["image"]
         if image is None:
             return None
-        from stages.viewing.style_uploads import cropped  # imports torch, which the page should not wait for
+        from stages.viewing.style_uploads import cropped  # imports torch, which must not delay the page
 
         return cropped(image, across.value, down.value, 1 / zoom.value)
 

@@ -1,4 +1,4 @@
-"""Blended colors on a GPU: the layers of fields/blended_color.py, composited as rendering/rays.py does."""
+"""Blended colors on a GPU: layers as in fields/blended_color.py, composited as in rendering/rays.py."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ class _Layer:
 
 
 class GpuBlendedColor:
-    """BlendedColor of fields/blended_color.py. half: tables are read in half precision."""
+    """GPU counterpart of BlendedColor (fields/blended_color.py). half: read tables in half precision."""
 
     def __init__(self, part: BlendedColor, device: torch.device, half: bool = False) -> None:
         self.layers = [_on_device(layer, device, half) for layer in part.layers]
         self.values = torch.empty(0, device=device)
 
     def shares(self, samples: GpuSamples, of: Tensor) -> Iterator[tuple[_Layer, Tensor]]:
-        """Yield each layer that is not a blend with its share [capacity] of every sample; all add up to `of`."""
+        """Yield each layer that is not a blend, with its share [capacity] of every sample; shares add up to `of`."""
         for number, layer in enumerate(self.layers):
             own = of * layer.weight
             if layer.within is not None:
@@ -43,18 +43,18 @@ class GpuBlendedColor:
                 yield layer, own
 
     def composited(self, samples: GpuSamples, directions: Tensor) -> Tensor:
-        """Return [rays, 5] as composite_layers() in rendering/rays.py does."""
+        """Return [rays, 5]; see composite_layers() in rendering/rays.py."""
         out = torch.zeros((len(samples.starts), 5), device=samples.x.device)
         for layer, share in self.shares(samples, torch.ones_like(samples.weights)):
             assert isinstance(layer.color, GpuColor)
             colors = layer.color.visible_colors(samples, directions, layer.weight_threshold)
             colored = colors[:, :1] >= 0
             own = launch.composite(samples, torch.where(colored, colors * share[:, None], -1.0))
-            out[:, 3:] = own[:, 3:]  # the same of each
+            out[:, 3:] = own[:, 3:]  # the same for every layer
             if layer.color_map is None:
                 out[:, :3] += own[:, :3]
                 continue
-            # The share of alpha is composited as a gray.
+            # The layer's share of alpha is composited as a gray.
             alpha = launch.composite(samples, torch.where(colored, share[:, None].expand(-1, 3), -1.0))[:, :1]
             matrix, offset = layer.color_map
             out[:, :3] += torch.minimum((own[:, :3] @ matrix.T + alpha * offset).clamp(min=0), alpha)
@@ -76,8 +76,8 @@ def _on_device(layer: Layer, device: torch.device, half: bool) -> _Layer:
 
 
 def _inside(within: Tensor, samples: GpuSamples) -> Tensor:
-    """Return [capacity] bool: whether samples lie in marked cells; undefined after the last sample."""
+    """Return [capacity] bool: whether samples are in marked cells; undefined after the last sample."""
     cells = len(within)
-    # nan_to_num: what follows the last sample is undefined, and may not even be a number.
+    # nan_to_num: entries after the last sample are undefined and may be NaN.
     place = (samples.x.nan_to_num() * cells).clamp(0, cells - 1).long()
     return within[place[:, 0], place[:, 1], place[:, 2]]

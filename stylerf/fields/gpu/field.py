@@ -1,4 +1,4 @@
-"""A radiance field on a GPU: its parts, rays through it, and its occupancy, updated without waiting for the device."""
+"""A radiance field on a GPU: its parts, ray marching, and its occupancy grid, updated without synchronizing."""
 
 import math
 from collections.abc import Mapping
@@ -21,11 +21,11 @@ from stylerf.kernels.cpu.march import OPTICAL_SCALE
 from stylerf.kernels.gpu import launch
 from stylerf.kernels.gpu.ray_samples import GpuMarchInputs, GpuRays, GpuSamples
 
-FARTHEST = 32  # cells; larger occupancy distances are clamped to this: rays skip less, but never too far
+FARTHEST = 32  # cells; larger occupancy distances are clamped to this: rays may skip less, but never too far
 
 
 def unsupported(field: RadianceField, moving: bool = False) -> str | None:
-    """Return why a field cannot be used on a GPU, or None. moving: it is to learn a deformation."""
+    """Return why a field cannot be used on a GPU, or None. moving: whether it will learn a deformation."""
     parts: list[tuple[Part, Mapping[str, type[GpuPart]]]] = [(field.density, DENSITY_KINDS)]
     parts += [(color, COLOR_KINDS) for color in layers_of(field.color)]
     for part, kinds in parts:
@@ -47,12 +47,12 @@ class GpuRendered:
     colors: Tensor
 
     def with_surface_distance(self) -> Tensor:
-        """Return [rays, 5] as with_surface_distance() in rendering/rays.py does."""
+        """Return [rays, 5]; see with_surface_distance() in rendering/rays.py."""
         return torch.cat([self.out[:, :4], launch.surface_distance(self.samples)[:, None]], 1)
 
 
 class GpuField:
-    """A copy of `field` on a GPU. half: tables are read in half precision (rendering only)."""
+    """A copy of `field` on a GPU. half: read tables in half precision (rendering only)."""
 
     def __init__(self, field: RadianceField, device: torch.device | str, half: bool = False) -> None:
         if (why := unsupported(field)) is not None:
@@ -83,7 +83,7 @@ class GpuField:
         self._space = torch.from_numpy(field.space.packed()).to(self.device)
 
     def march_inputs(self, samples_per_ray: int, min_transmittance: float, near: float | None = None) -> GpuMarchInputs:
-        """Return what a march through the field reads beside rays and density; near: as render_rays() takes it."""
+        """Return the inputs of ray marching other than rays and density; near: see render_rays()."""
         return GpuMarchInputs(
             self.space.code, self._space, self.space.near if near is None else near, self.space.far, self.step,
             self.distances, self.cells, self.opaque_background, self.displacement, self.vertices, samples_per_ray,
@@ -98,9 +98,9 @@ class GpuField:
         capacity: int | None,
         near: float | None = None,
     ) -> GpuSamples:
-        """March rays to samples with density and weights; capacity: most samples; None: all (waits).
+        """March rays to samples with density and weights.
 
-        near: as render_rays() takes it.
+        capacity: maximum number of samples; None: no limit (synchronizes). near: see render_rays().
         """
         inputs = self.march_inputs(samples_per_ray, min_transmittance, near)
         return launch.march_density(inputs, self.density, rays, capacity)
@@ -115,11 +115,11 @@ class GpuField:
         samples_per_ray: int = SAMPLES_PER_RAY,
         near: float | None = None,
     ) -> GpuRendered:
-        """Render rays as render_rays() in rendering/rays.py does.
+        """Render rays; see render_rays() in rendering/rays.py.
 
         Args:
-            capacity: as march() takes it.
-            near: distance where marching starts, scene units; None: that of the space.
+            capacity: see march().
+            near: distance at which marching starts, scene units; None: the space's own.
         """
         samples = self.march(rays, samples_per_ray, min_transmittance, capacity, near)
         if self.blend is None:
@@ -159,7 +159,7 @@ class GpuField:
             launch.displacement_backward(self.space.code, self._space, rays, s, moved, self.vertices, displacement_to)
 
     def write_to(self, field: RadianceField) -> None:
-        """Copy learned values back into `field`, and recompute its occupancy with exact distances."""
+        """Copy learned values back into `field` and recompute its occupancy with exact distances."""
         field.density.values[:] = self.density.values.cpu().numpy()
         field.color.values[:] = self.color.values.cpu().numpy()
         field.occupancy.highest[:] = self.highest.cpu().numpy()
@@ -167,11 +167,11 @@ class GpuField:
 
 
 def mapped(out: Tensor, color_map: tuple[Tensor, Tensor] | None) -> Tensor:
-    """Return composited rays [rays, 5], their colors mapped by (matrix, offset); see mapped() in rendering/rays.py."""
+    """Map the colors of composited rays [rays, 5] by (matrix, offset); see mapped() in rendering/rays.py."""
     if color_map is None:
         return out
     matrix, offset = color_map
-    # Premultiplied: the offset counts alpha times, and no channel exceeds alpha (decision 0006).
+    # Premultiplied: the offset is scaled by alpha, and no channel exceeds alpha (decision 0006).
     rgb = out[:, :3] @ matrix.T + out[:, 3:4] * offset
     return torch.cat([torch.minimum(rgb.clamp(min=0), out[:, 3:4]), out[:, 3:]], 1)
 
@@ -180,16 +180,16 @@ def mapped(out: Tensor, color_map: tuple[Tensor, Tensor] | None) -> Tensor:
 
 
 def refresh(field: GpuField, seed: int, stride: int, decay: float) -> None:
-    """Evaluate the density of a field in every stride-th cell, then decide what is occupied."""
+    """Evaluate a field's density in every stride-th cell, then update which cells are occupied."""
     device, cells = field.device, field.cells
     generator = torch.Generator(device).manual_seed(seed)
-    start = int(np.random.default_rng(seed).integers(stride))  # a seed modulo the stride may never vary
+    start = int(np.random.default_rng(seed).integers(stride))  # `seed % stride` might never vary
     index = torch.arange(start, cells**3, stride, device=device)
     corner = torch.stack([index // cells**2, index // cells % cells, index % cells], 1)
     points = (corner + torch.rand(corner.shape, generator=generator, device=device)) / cells
     seen = field.density.sigma(points.contiguous()).clamp(max=DENSEST)
     old = field.highest[index]
-    # UNSEEN is infinite and would outlast any decay.
+    # UNSEEN is infinite and would survive any decay.
     field.highest[index] = torch.maximum(torch.where(old == UNSEEN, 0.0, old * decay), seen)
     if field.clear is not None:
         field.highest.masked_fill_(field.clear, 0.0)
@@ -197,7 +197,7 @@ def refresh(field: GpuField, seed: int, stride: int, decay: float) -> None:
 
 
 def decide(field: GpuField) -> None:
-    """Recompute the distances of a field from the densities seen in its cells."""
+    """Recompute a field's occupancy distances from the densities seen in its cells."""
     cells = field.cells
     threshold = -math.log1p(-OPAQUE_STEP) / (float(OPTICAL_SCALE) * field.step)
     occupied = field.highest > field.highest.clamp(max=MARK).mean().clamp(max=threshold)
@@ -209,16 +209,16 @@ def decide(field: GpuField) -> None:
 def distances_to(occupied: Tensor, farthest: int = FARTHEST) -> Tensor:
     """Return the Chebyshev distance of each cell of [m, m, m] bool to the nearest True, at most `farthest`; uint8.
 
-    Axis by axis, a dozen launches in all: a cell's distance is the minimum, over the cells of its line, of the maximum
-    of the way to that cell and that cell's own distance so far.
+    Separable, a dozen launches in all: along each axis, a cell's distance is the minimum, over the cells of its line,
+    of the larger of the offset to that cell and that cell's distance so far.
     """
     farthest = min(farthest, len(occupied))
     distance = torch.full_like(occupied, farthest, dtype=torch.uint8).masked_fill_(occupied, 0)
     ways = torch.arange(1 - farthest, farthest, device=occupied.device).abs().to(torch.uint8)
     for axis in range(3):
-        # F.pad takes the last axis first.
+        # F.pad expects the last axis first.
         margins = [farthest - 1 if a == axis else 0 for a in (2, 1, 0) for _ in range(2)]
-        # [m, m, m, 2 farthest - 1], a view; the maximum below is as large, one byte each.
+        # [m, m, m, 2 farthest - 1], a view; the maximum below materializes it, one byte per element.
         lines = F.pad(distance, margins, value=farthest).unfold(axis, len(ways), 1)
         distance = torch.maximum(lines, ways).amin(-1)
     return distance

@@ -1,6 +1,6 @@
-"""The parts of a field on a GPU: their values as tensors, the Triton kernels behind them.
+"""The parts of a field on a GPU: their values as tensors, backed by Triton kernels.
 
-half: a table is read in half precision and cannot learn.
+half: the table is stored in half precision and cannot be trained.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from stylerf.kernels.gpu.launch import POINTS, SAMPLES, over, over_samples, widt
 from stylerf.kernels.gpu.ray_samples import GpuSamples
 from stylerf.kernels.gpu.tables import HASH, VM, VOXEL
 
-# With four, the network's backward on hash features keeps 4.6 KB a thread in local memory, with eight 0.2 KB (compiled
-# for capability 9.0).
+# With four warps, the MLP's backward on hash features spills 4.6 KB per thread to local memory; with eight, 0.2 KB
+# (compiled for capability 9.0).
 HEAD_WARPS = 8
 HEADS = {
     "linear": (color_heads.LINEAR.value, color_heads.linear_backward_kernel),
@@ -33,7 +33,7 @@ HEADS = {
 
 
 class GpuPlanes:
-    """Planes and lines of fields/vm.py."""
+    """Planes and lines; see fields/vm.py."""
 
     code, pieces = VM.value, 3
 
@@ -45,7 +45,7 @@ class GpuPlanes:
     def smooth(self, values: Tensor, strength: float, to: Tensor, count: int = 0) -> None:
         """Add the gradient of strength/2 times the mean squared difference of texels to `to` [length or more].
 
-        count: over which the mean is taken; 0: the length.
+        count: divisor of the mean; 0: the table's length.
         """
         begin, strength = 0, strength / (count or self.length)
         for a, b in ((1, 2), (2, 0), (0, 1)):
@@ -56,7 +56,7 @@ class GpuPlanes:
 
 
 class GpuHashLevels:
-    """Levels of fields/hash_grid.py."""
+    """Hash-grid levels; see fields/hash_grid.py."""
 
     code, pieces, size = HASH.value, 1, [0, 0, 0]
 
@@ -82,7 +82,7 @@ class GpuHashLevels:
 
 
 class GpuVoxelGrid:
-    """Grid of fields/voxel.py with `row` floats per vertex."""
+    """Voxel grid with `row` floats per vertex; see fields/voxel.py."""
 
     code, pieces = VOXEL.value, 1
 
@@ -90,8 +90,8 @@ class GpuVoxelGrid:
         self.size, self.rank, self.length = [int(s) for s in grid.size], row, grid.rows * row
         self.layout = torch.from_numpy(grid.links).to(device)
         self.width = triton.next_power_of_2(row)
-        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # contiguous, unlike argwhere's own
-        places[1:] = np.argwhere(grid.kept)  # row 0: the shared block, which has no place
+        places = np.zeros((1 + np.count_nonzero(grid.kept), 3), np.int32)  # contiguous, unlike argwhere's result
+        places[1:] = np.argwhere(grid.kept)  # row 0: the shared block, which has no position
         self.places = torch.from_numpy(places).to(device)
 
     def smooth(self, values: Tensor, strength: float, to: Tensor) -> None:
@@ -110,7 +110,7 @@ TABLES: dict[str, Callable[..., GpuTable]] = {
 
 
 class GpuPart:
-    """A part of fields/protocol.py on a GPU. moves: whether there is a kernel for its gradient to positions."""
+    """GPU counterpart of Part (fields/protocol.py). moves: whether it can differentiate with respect to positions."""
 
     moves = False
 
@@ -135,11 +135,11 @@ class GpuDensity(GpuPart):
         self.code, self.size, self.rank = grid.code, grid.size, grid.rank
         self.layout, self.width = grid.layout, grid.width
         table = self.values[:-1]
-        # The shift stays a pointer: reading it as a number would wait for the device.
+        # The shift stays a pointer: reading it as a number would synchronize.
         self.table, self.shift = table.half() if half else table, self.values[-1:]
 
     def sigma(self, points: Tensor) -> Tensor:
-        """Raw density [n] of cube points [n, 3]."""
+        """Return raw density [n] at cube points [n, 3]."""
         out, n = torch.empty(len(points), device=points.device), len(points)
         arguments = self.table, self.layout, self.shift, points, out, n, *self.size
         over(tables.density_kernel, n, POINTS, *arguments, DENSITY=self.code, RANK=self.rank, WIDTH=self.width)
@@ -154,7 +154,7 @@ class GpuDensity(GpuPart):
         )  # fmt: skip
 
     def add_position_gradients(self, samples: GpuSamples, sigma_gradients: Tensor, out: Tensor) -> None:
-        """Add dL/dx to out [capacity, 3], x the samples' positions in the cube; only for kinds with `moves`."""
+        """Add dL/dx to out [capacity, 3], x: sample positions in the cube; only for kinds with `moves`."""
         s = samples
         over_samples(
             deformation.density_position_kernel, s, self.table, self.layout, s.x, s.sigma, sigma_gradients, s.total,
@@ -181,13 +181,13 @@ class GpuVmDensity(GpuDensity):
 
 
 class GpuColor(GpuPart):
-    """A color part. directions: [rays, 3]; a hash color does not read them."""
+    """A color part. directions: [rays, 3]; ignored by hash colors."""
 
     def visible_colors(self, samples: GpuSamples, directions: Tensor | None, weight_threshold: float) -> Tensor:
-        """Color the samples of at least weight_threshold times their ray's largest weight.
+        """Color samples whose weight is at least weight_threshold times their ray's largest weight.
 
         Returns:
-            [capacity, 3] in 0..1; -1 in the first channel of all other samples.
+            [capacity, 3] in 0..1; all other samples have -1 in the first channel.
         """
         raise NotImplementedError
 
@@ -201,7 +201,7 @@ class GpuColor(GpuPart):
 
 
 class GpuEncodedColor(GpuColor):
-    """EncodedColor of fields/encoded_color.py."""
+    """GPU counterpart of EncodedColor (fields/encoded_color.py)."""
 
     def __init__(self, part, device: torch.device, half: bool = False) -> None:
         super().__init__(part, device)
@@ -211,7 +211,7 @@ class GpuEncodedColor(GpuColor):
         self.grid, self.size, self.rank, self.layout = grid, grid.size, grid.rank, grid.layout
         self.head, self.bands = head, BANDS[part.degree]
         self.outputs = max(16, triton.next_power_of_2(3 * self.bands))  # columns of a tile of the head's outputs
-        plain = head == "linear" and grid.code == VM.value  # few registers: Triton's own number of warps
+        plain = head == "linear" and grid.code == VM.value  # few registers: Triton's default number of warps
         self._constants = {
             "ENCODER": grid.code, "PIECES": grid.pieces, "RANK": grid.rank, "WIDTH": width_of(grid.rank),
             "BANDS": self.bands, "UNITS": HIDDEN if head == "mlp" else self.outputs,
@@ -241,7 +241,7 @@ class GpuEncodedColor(GpuColor):
 
 
 class GpuVmColor(GpuEncodedColor):
-    """VmColor of fields/vm.py: a linear head on vm features."""
+    """GPU counterpart of VmColor (fields/vm.py): a linear head on vm features."""
 
     moves = True
 
@@ -259,7 +259,7 @@ class GpuVmColor(GpuEncodedColor):
 
 
 class GpuHashColor(GpuColor):
-    """HashColor of fields/hash_grid.py."""
+    """GPU counterpart of HashColor (fields/hash_grid.py)."""
 
     moves = True
 
@@ -288,7 +288,7 @@ class GpuHashColor(GpuColor):
 
 
 class GpuRegionColor(GpuHashColor):
-    """RegionColor of fields/region_color.py, over a base of any kind; values: the region's own."""
+    """GPU counterpart of RegionColor (fields/region_color.py), over a base of any kind; values: the region's own."""
 
     moves = False
 
@@ -324,5 +324,5 @@ COLOR_KINDS: dict[str, type[GpuColor]] = {
 
 
 def marked_cells(marked: np.ndarray, device: torch.device) -> Tensor:
-    """Return cells [s, s, s] bool as the kernels read them: uint8 [s^3]."""
+    """Return cells [s, s, s] bool in the kernels' layout: uint8 [s^3]."""
     return torch.from_numpy(np.ascontiguousarray(marked).reshape(-1).astype(np.uint8)).to(device)

@@ -1,5 +1,5 @@
-"""numba kernels: all cores, exact backwards, bitwise reproducible for a given number of threads.
+"""numba kernels: multithreaded, with exact backward passes, bit-reproducible for a given number of threads.
 
-Rays are split into as many contiguous partitions as there are threads. Each thread adds gradients to a buffer of its
-own, and the optimizer adds the buffers in order: no result depends on which thread finishes first.
+Rays are split into one contiguous partition per thread. Each thread accumulates gradients in its own buffer, and the
+optimizer sums the buffers in order, so no result depends on which thread finishes first.
 """

@@ -1,8 +1,8 @@
 """Adam (Kingma & Ba 2015) over flat tables: sums the threads' buffers in order, updates and clears them in one pass.
 
-numba's own loop over the four arrays of an optimizer stays scalar, since any of them might overlap another: a square
-root and two divisions an element then cost more than the memory (performance.md). The intrinsics in LLVM IR load,
-compute and store runs of LANES elements as one vector, with the roundings of the scalar formulas.
+numba does not vectorize a loop over an optimizer's four arrays, since they might alias: a square root and two divisions
+per element then cost more than the memory accesses (performance.md). The intrinsics in LLVM IR load, compute and store
+runs of LANES elements as one vector, with the same rounding as the scalar formulas.
 """
 
 import math
@@ -17,19 +17,19 @@ from numba.extending import intrinsic
 from stylerf.kernels.cpu.compiling import parallel_kernel
 from stylerf.kernels.cpu.simd_vm import INDEX, SCALAR, Rows, data_pointer
 
-LANES = 8  # floats; the GPU's kernel skips runs of the same length
+LANES = 8  # floats; the GPU kernel skips runs of the same length
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
 @intrinsic
 def any_gradient(typing, gradients, at):
-    """Whether one of gradients[at : at + LANES] (flat) is not zero; NaN is not."""
+    """Whether any of gradients[at : at + LANES] (flat) is nonzero; NaN counts as nonzero."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, LANES)
         row = rows.load(data_pointer(context, builder, sig.args[0], args[0]), args[1])
         found = builder.fcmp_unordered("!=", row, ir.Constant(rows.type, [0.0] * LANES))
-        # One integer of LANES bits.
+        # As a single integer of LANES bits.
         bits = builder.bitcast(found, ir.IntType(LANES))
         return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
 
@@ -38,7 +38,7 @@ def any_gradient(typing, gradients, at):
 
 @intrinsic
 def gather_gradient(typing, gradients, at, other):
-    """gradients[at : at + LANES] += gradients[other : other + LANES], and the latter is cleared (flat)."""
+    """gradients[at : at + LANES] += gradients[other : other + LANES] (flat); clears the latter."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, LANES)
@@ -52,10 +52,10 @@ def gather_gradient(typing, gradients, at, other):
 
 @intrinsic
 def adam_run(typing, values, gradients, first, second, i, at, rate, beta1, beta2, epsilon, root):
-    """One step of LANES elements from i on with gradients[at:] (flat), which are cleared.
+    """One step for LANES elements starting at i, with gradients[at:] (flat), which are cleared.
 
     m = beta1 m + (1 - beta1) g, v = beta2 v + (1 - beta2) g^2, value -= rate m / (root sqrt(v) + epsilon); rate and
-    root hold the corrections of the moments.
+    root include the bias corrections.
     """
 
     def generate(context, builder, sig, args):
@@ -83,7 +83,7 @@ def adam_run(typing, values, gradients, first, second, i, at, rate, beta1, beta2
 
 
 class AdamState(NamedTuple):
-    """A table and what its optimizer keeps: values and both moments [n], gradients [threads, n], float32."""
+    """A table and its optimizer state: values and both moments [n], gradients [threads, n], float32."""
 
     values: np.ndarray
     gradients: np.ndarray
@@ -92,7 +92,7 @@ class AdamState(NamedTuple):
 
 
 class AdamRates(NamedTuple):
-    """Numbers of step t: correction1 = 1 - beta1^t, correction2 = 1 - beta2^t."""
+    """Coefficients of step t: correction1 = 1 - beta1^t, correction2 = 1 - beta2^t."""
 
     rate: float
     beta1: float
@@ -104,10 +104,10 @@ class AdamRates(NamedTuple):
 
 @parallel_kernel
 def adam(state, rates, begin, end, blocks):
-    """One Adam step on values[begin:end]; gradients are summed over threads and set to zero. rates: float32.
+    """One Adam step on values[begin:end]; gradients are summed over threads, then cleared. rates: float32.
 
-    Runs of eight elements without any gradient are skipped, moments too (as torch.optim.SparseAdam does): a batch of
-    rays touches a small part of a table.
+    Runs of eight elements without any gradient are skipped, including their moments (as in torch.optim.SparseAdam): a
+    batch of rays touches only a small part of a table.
     """
     values, gradients, first, second = state.values, state.gradients, state.first, state.second
     beta1, beta2, epsilon = rates.beta1, rates.beta2, rates.epsilon
@@ -123,11 +123,11 @@ def adam(state, rates, begin, end, blocks):
                 touched |= any_gradient(flat, thread * stride + at)
             if not touched:
                 continue
-            # In the order of threads, so that sums repeat to the bit.
+            # In thread order, so that sums are bit-reproducible.
             for thread in range(1, threads):
                 gather_gradient(flat, at, thread * stride + at)
             adam_run(values, flat, first, second, at, at, step, beta1, beta2, epsilon, root)
-    # Fewer than LANES elements are left: one short run, skipped as a whole too.
+    # The remaining elements, fewer than LANES: one short run, also skipped as a whole.
     rest = begin + runs * LANES
     touched = False
     for i in range(rest, end):

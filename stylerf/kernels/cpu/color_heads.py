@@ -1,6 +1,6 @@
-"""Color heads: features of packed samples to view-dependent colors, and back.
+"""Color heads: features of packed samples to view-dependent colors, and the backward passes.
 
-Packed: sample index[i] of ray ray[i], ascending; features phi [m, f]. basis [rays, bands]: spherical harmonics Y of the
+Packed: sample index[i] on ray ray[i], ascending; features phi [m, f]. basis [rays, bands]: spherical harmonics Y of the
 rays' directions. `widths`, `hidden`: tuples whose lengths are compile-time constants (see simd_vm.py).
 """
 
@@ -17,7 +17,7 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 @parallel_kernel
 def count_marked(marks, bound, starts, ends, threads, counts):
-    """counts[r] = samples of ray r whose marks[k, 0] > bound."""
+    """counts[r] = number of samples of ray r with marks[k, 0] > bound."""
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
@@ -30,7 +30,7 @@ def count_marked(marks, bound, starts, ends, threads, counts):
 
 @parallel_kernel
 def pack_marked(marks, bound, starts, ends, offsets, threads, index, ray):
-    """The samples that count_marked counts, ray after ray from offsets[r] on."""
+    """Pack the samples counted by count_marked; those of ray r are written from offsets[r] on."""
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
@@ -43,7 +43,7 @@ def pack_marked(marks, bound, starts, ends, offsets, threads, index, ray):
 
 @parallel_kernel
 def hide(starts, ends, threads, out):
-    """Set out[k, 0] = -1 for every sample: the mark of having no color."""
+    """Set out[k, 0] = -1, the marker for no color, for every sample."""
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
@@ -61,7 +61,7 @@ def sigmoid(z):
 
 @inline
 def head_of(head, basis, r, width, out):
-    """out[j, f] = sum_b head[j, b, f] Y_b: the head evaluated for one ray's direction."""
+    """out[j, f] = sum_b head[j, b, f] Y_b: the head for one ray's direction."""
     bands = basis.shape[1]
     for j in range(3):
         for f in range(width):
@@ -82,7 +82,7 @@ def linear(phi, widths, head, basis, index, ray, threads, out):
         seen = np.empty(3 * width, np.float32)
         last = np.int64(-1)
         for i in range(thread * m // threads, (thread + 1) * m // threads):
-            # Samples ascend by ray: the head is combined with each direction once.
+            # Samples are sorted by ray, so the head is combined with each direction only once.
             if ray[i] != last:
                 last = ray[i]
                 head_of(head, basis, last, width, seen)
@@ -93,7 +93,7 @@ def linear(phi, widths, head, basis, index, ray, threads, out):
 
 @inline
 def _spread_head(seen_gradient, basis, r, width, flat, at, widths):
-    """Add the gradient of the head as one ray sees it to the buffer's [3, bands, f] at `at`."""
+    """Add the gradient of one ray's head_of() to the buffer's [3, bands, f] at `at`."""
     bands = basis.shape[1]
     for j in range(3):
         for b in range(bands):
@@ -122,7 +122,7 @@ def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradient
             k = index[i]
             here = np.int64(i * width)
             for f in range(width):
-                phi_flat[here + f] = _ZERO  # the caller leaves it uninitialized
+                phi_flat[here + f] = _ZERO  # not initialized by the caller
             for j in range(3):
                 g = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])  # sigmoid' = c (1 - c)
                 buffers[bias + j] += g
@@ -132,7 +132,7 @@ def linear_backward(phi, widths, head, basis, index, ray, colors, color_gradient
             _spread_head(seen_gradient, basis, last, width, buffers, base, widths)
 
 
-# -- harmonics: features that are spherical-harmonic coefficients themselves ------------------------------------------
+# -- harmonics: features that are spherical-harmonic coefficients -----------------------------------------------------
 
 
 @parallel_kernel
@@ -170,7 +170,7 @@ def harmonic_backward(basis, index, ray, colors, color_gradients, threads, phi_g
 
 @inline
 def from_direction(numbers, at, basis, r, hidden, out):
-    """out = b1 + sum_b Y_b W1_b; at: where the harmonics' rows begin."""
+    """out = b1 + sum_b Y_b W1_b; at: start of the harmonics' rows."""
     h, bands = len(out), basis.shape[1]
     for u in range(h):
         out[u] = numbers[at + bands * h + u]
@@ -192,7 +192,7 @@ def hidden_layer(numbers, phi, i, seen, hidden, out):
 
 @parallel_kernel
 def mlp(phi, hidden, numbers, basis, index, ray, threads, out):
-    """out[index[i]] = the color of sample i."""
+    """out[index[i]] = color of sample i."""
     m, width = phi.shape
     h, bands = np.int64(len(hidden)), basis.shape[1]
     second = (width + bands + 1) * h
@@ -211,7 +211,7 @@ def mlp(phi, hidden, numbers, basis, index, ray, threads, out):
 
 @inline
 def _add_direction_gradient(learned, basis, r, buffers, at, hidden):
-    """Add the gradient from one ray's samples to W1 of the harmonics and b1, at `at`."""
+    """Add the gradient of one ray's samples to W1 of the harmonics and to b1, at `at`."""
     h, bands = len(learned), basis.shape[1]
     for b in range(bands):
         axpy_row(basis[r, b], learned, np.int64(0), buffers, np.int64(at + b * h), hidden)
@@ -228,7 +228,7 @@ def mlp_backward(phi, hidden, numbers, basis, index, ray, colors, color_gradient
     for thread in prange(threads):
         base = np.int64(thread * stride + at)
         seen, layer, learned = np.empty(h, np.float32), np.empty(h, np.float32), np.zeros(h, np.float32)
-        # layer: relu's output; back: dL/d(its input); learned: back summed over one ray's samples.
+        # layer: output of the ReLU; back: dL/d(its input); learned: back summed over one ray's samples.
         back = np.empty(h, np.float32)
         last = np.int64(-1)
         for i in range(thread * m // threads, (thread + 1) * m // threads):

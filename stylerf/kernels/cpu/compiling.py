@@ -8,31 +8,31 @@ import numba
 
 from stylerf.kernels import not_kept
 
-# No fast-math: reassociation differs between compiling a kernel and linking it from the cache, and a fit would not
-# repeat to the bit. error_model numpy: division by zero gives infinity instead of a branch that raises.
+# No fast-math: reassociation differs between compiling a kernel and loading it from the cache, so fits would not be
+# bit-reproducible. error_model numpy: division by zero gives infinity instead of a branch that raises.
 parallel_kernel = numba.njit(parallel=True, error_model="numpy", cache=True, nogil=True)
 serial_kernel = numba.njit(error_model="numpy", cache=True, nogil=True)
-# Inlined by LLVM. numba's own inliner (inline="always") types the whole caller again for each call: four times the
-# compile time.
+# Inlined by LLVM. numba's own inliner (inline="always") repeats type inference of the caller for each call: four times
+# the compile time.
 inline = numba.njit(forceinline=True, error_model="numpy")
 
 
 def set_threads(threads: int) -> int:
-    """Use `threads` cores, at most as many as the machine has; return the number used."""
+    """Use `threads` threads, at most as many as the machine supports; return the number used."""
     used = max(1, min(int(threads), numba.config.NUMBA_NUM_THREADS))
     numba.set_num_threads(used)
     return used
 
 
 def compiled_here() -> bool:
-    """Return whether the cache folder holds kernels compiled by an earlier run."""
+    """Whether the cache folder holds kernels compiled by an earlier run."""
     folder = Path(numba.config.CACHE_DIR or "")
     return folder.is_dir() and next(folder.glob("**/*.nbi"), None) is not None
 
 
 @contextmanager
 def compiling_note(say: Callable[[str], None]) -> Iterator[None]:
-    """Announce through `say`, before a first compile, that it will take a while."""
+    """Announce through `say`, before the first compilation, that it will take a while."""
     if not compiled_here() and not_kept:
         say(
             f"compiling the kernels for this run alone, a minute or two: {not_kept}; set STYLERF_CACHE to a folder "

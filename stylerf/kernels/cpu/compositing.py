@@ -1,4 +1,4 @@
-"""Compositing: samples' colors and weights to pixels, and back (Max 1995; Mildenhall et al. 2020, eq. 3)."""
+"""Composite samples' colors and weights to pixels, and the backward pass (Max 1995; Mildenhall et al. 2020, eq. 3)."""
 
 import numpy as np
 from numba import prange
@@ -6,16 +6,16 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import parallel_kernel
 
 _ONE, _ZERO, _HALF, _TWO = np.float32(1), np.float32(0), np.float32(0.5), np.float32(2)
-SURFACE_REACH = np.float32(0.05)  # of a sample's distance: how thick the surface around it is taken to be
+SURFACE_REACH = np.float32(0.05)  # assumed half thickness of a surface, relative to its distance
 
 
 @parallel_kernel
 def composite(samples, colors, threads, out):
     """Composite samples to out[r] = (sum w c (3), sum w, sum w t).
 
-    Samples without a color (colors[k, 0] < 0) take the ray's mean: they weigh next to nothing, but as black they would
-    bias every density's gradient. The opaque background (delta 0) is left out of sum w t: it is so far away that the
-    faintest light reaching it would dominate.
+    Samples without a color (colors[k, 0] < 0) get the ray's mean color: they have hardly any weight, but black would
+    bias every density's gradient. The opaque background (delta 0) is excluded from sum w t: it is so far away that even
+    a tiny weight would dominate.
     """
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
@@ -43,7 +43,7 @@ def composite(samples, colors, threads, out):
 
 @parallel_kernel
 def keep_shared(weights, shares, starts, ends, threads, out):
-    """out[k] = weights[k] where shares[k] > 0, else 0: the samples that a layer of a blend has to color."""
+    """out[k] = weights[k] where shares[k] > 0, else 0: the samples that a layer of a blend must color."""
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
@@ -55,8 +55,8 @@ def keep_shared(weights, shares, starts, ends, threads, out):
 def composite_share(samples, visible, colors, shares, threads, out):
     """Composite a layer of a blend to out[r] = (sum w s c (3), sum w s, sum w t), s = shares[k] in 0..1.
 
-    Samples that are not visible (visible[k] = 0) take the ray's mean of s c and of s. With s = 1 everywhere the result
-    is that of composite(), to the bit.
+    Samples that are not visible (visible[k] = 0) get the ray's mean of s c and of s. With s = 1 everywhere, the result
+    is bit-identical to that of composite().
     """
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
@@ -80,18 +80,18 @@ def composite_share(samples, visible, colors, shares, threads, out):
             out[r, 0] = red * scale
             out[r, 1] = green * scale
             out[r, 2] = blue * scale
-            # own / seen is exactly 1 where the layer is alone.
+            # own / seen is exactly 1 where this is the only layer.
             out[r, 3] = total * (own / seen) if seen > _ZERO else _ZERO
             out[r, 4] = depth
 
 
 @parallel_kernel
 def surface_distance(samples, threads, out):
-    """Set out[r, 4] to the distance of the surface that ray r shows, given out[r, 3] = sum w; 0 without weight.
+    """Set out[r, 4] to the distance of the surface visible along ray r, given out[r, 3] = sum w; 0 without weight.
 
-    The surface is where the running sum of weights passes one half; its distance is the mean of t, by weight, over the
-    samples within SURFACE_REACH of there. Haze in front, a second surface or the background behind do not move it
-    (decision 0032).
+    The surface is where the cumulative weight passes one half of the total; its distance is the weighted mean of t over
+    the samples within SURFACE_REACH of that point. Haze in front, a second surface or the background behind do not
+    affect it (decision 0032).
     """
     starts, ends, t, weights = samples.starts, samples.ends, samples.t, samples.weights
     n = len(ends)
@@ -119,16 +119,16 @@ def surface_distance(samples, threads, out):
 
 @parallel_kernel
 def composite_backward(samples, colors, out, gradients, threads, sigma_gradients, color_gradients):
-    """Turn dL/d(out) [rays, 5] into dL/d(sigma) [n] and dL/d(color) [n, 3].
+    """Compute dL/d(sigma) [n] and dL/d(color) [n, 3] from dL/d(out) [rays, 5].
 
     With D_k = dL/dw_k and T_{k+1} the transmittance behind sample k:
 
         dL/d(sigma_k) = delta_k (T_{k+1} D_k - sum_{i>k} w_i D_i)
 
-    The mean color that uncolored samples take is treated as a constant.
+    The mean color of uncolored samples is treated as a constant.
     """
     # From w_k = T_k (1 - exp(-sigma_k delta_k)): dw_k/dsigma_k = delta_k T_{k+1}, and dw_i/dsigma_k = -delta_k w_i for
-    # i > k. The first pass sums all w_i D_i; the second, front to back, takes off what is no longer behind.
+    # i > k. The first pass sums all w_i D_i; the second, front to back, subtracts the terms up to sample k.
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
     for thread in prange(threads):
@@ -136,7 +136,7 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
             g0, g1, g2 = gradients[r, 0], gradients[r, 1], gradients[r, 2]
             ga, gd = gradients[r, 3], gradients[r, 4]
             total = out[r, 3]
-            # g . c for samples that took the mean color, which is out[0:3] / alpha.
+            # g . c for samples with the mean color, which is out[0:3] / alpha.
             mean = (g0 * out[r, 0] + g1 * out[r, 1] + g2 * out[r, 2]) / total if total > _ZERO else _ZERO
             behind = _ZERO
             for k in range(starts[r], ends[r]):
@@ -161,12 +161,12 @@ def composite_backward(samples, colors, out, gradients, threads, sigma_gradients
 
 @parallel_kernel
 def distortion_backward(samples, strength, middle, threads, sigma_gradients):
-    """Add dL/d(sigma) of each ray's distortion (Barron et al. 2022, eq. 15, without the term of single intervals):
+    """Add dL/d(sigma) of each ray's distortion loss (Barron et al. 2022, eq. 15, without the per-interval term):
 
         L = strength sum_ij w_i w_j |s_i - s_j|,    s = t / (t + middle)
 
     dL/dw_k = 2 strength (s_k (W< - W>) - (S< - S>)), with W and S the sums of w and of w s in front of k and behind it.
-    The opaque background takes part: haze before it is as far from it as from any surface.
+    The opaque background is included: haze in front of it is as far from it as from any surface.
     """
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     n = len(ends)
@@ -176,7 +176,7 @@ def distortion_backward(samples, strength, middle, threads, sigma_gradients):
             for k in range(starts[r], ends[r]):
                 total += weights[k]
                 moment += weights[k] * (t[k] / (t[k] + middle))
-            # As in composite_backward: first sum_i w_i D_i, then what is left of it behind each sample.
+            # As in composite_backward: first sum_i w_i D_i, then the part of it behind each sample.
             behind, before, moment_before = _ZERO, _ZERO, _ZERO
             for k in range(starts[r], ends[r]):
                 w, s = weights[k], t[k] / (t[k] + middle)
@@ -198,7 +198,7 @@ def distortion_backward(samples, strength, middle, threads, sigma_gradients):
 def scale_near_gradients(samples, distance, threads, sigma_gradients, color_gradients):
     """Scale the gradients of samples nearer than `distance` by (t / distance)^2 (Philip and Deschaintre 2023).
 
-    Rays of a camera are that much denser there: without the scale, floaters close to a camera learn fastest.
+    A camera's rays are that much denser there: without scaling, floaters near a camera would learn fastest.
     """
     starts, ends, t = samples.starts, samples.ends, samples.t
     n = len(ends)
@@ -216,7 +216,7 @@ def scale_near_gradients(samples, distance, threads, sigma_gradients, color_grad
 def visible_weights(samples, weight_threshold, threads, visible):
     """visible[k] = weights[k] where it is at least `weight_threshold` times its ray's largest weight, else 0.
 
-    The threshold is relative, so that no ray is left without a visible sample.
+    The threshold is relative, so that no ray ends up without a visible sample.
     """
     starts, ends, weights = samples.starts, samples.ends, samples.weights
     n = len(ends)
@@ -246,7 +246,7 @@ def pack_visible(visible, samples, offsets, threads, packed_x, packed_weights):
             for k in range(starts[r], ends[r]):
                 if visible[k] > _ZERO:
                     for a in range(3):
-                        # Rounds to nearest, since the conversion truncates.
+                        # Round to nearest: the conversion truncates.
                         packed_x[at, a] = np.uint16(x[k, a] * np.float32(65535) + np.float32(0.5))
                     packed_weights[at] = visible[k] * scale
                     at += 1
@@ -254,7 +254,7 @@ def pack_visible(visible, samples, offsets, threads, packed_x, packed_weights):
 
 @parallel_kernel
 def unpack(pixels, offsets, packed_x, packed_weights, starts, x, weights):
-    """Unpack the samples of chosen pixels of a packed view; those of pixel r go to starts[r] on."""
+    """Unpack the samples of the given pixels of a packed view; those of pixel r are written from starts[r] on."""
     for r in prange(len(pixels)):
         at = starts[r]
         for k in range(offsets[pixels[r]], offsets[pixels[r] + 1]):

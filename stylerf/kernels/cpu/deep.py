@@ -1,4 +1,4 @@
-"""The samples of each ray as a few segments along it, for deep images."""
+"""Merge the samples of each ray into a few segments, for deep images."""
 
 import numpy as np
 from numba import prange
@@ -11,27 +11,27 @@ _ZERO, _HALF = np.float32(0), np.float32(0.5)
 
 @parallel_kernel
 def segments(samples, colors, rays, space, step, most, samples_per_ray, threads, counts, out):
-    """Merge the colored samples of each ray to at most `most` segments, front to back.
+    """Merge the colored samples of each ray into at most `most` segments, front to back.
 
-    Merged are, one pair after another, the neighbors i and j along the ray whose merging moves the least weight:
+    Greedily merges the neighbors i and j along the ray with the lowest cost:
 
-        w_i w_j / (w_i + w_j) |t_j - t_i|        (Ward 1963, in one dimension and by absolute distance)
+        w_i w_j / (w_i + w_j) |t_j - t_i|        (Ward 1963, in one dimension and with absolute distances)
 
-    A sample reaches half a step to both sides; the opaque background (delta 0) is a point. Weights are scaled so that a
-    ray keeps its alpha, as composite() does.
+    A sample extends half a step to both sides; the opaque background (delta 0) is a point. Weights are scaled to keep
+    a ray's alpha, as in composite().
 
     Args:
         samples, colors, rays: As marched and composited; colors[k, 0] < 0: no color.
-        space: Space, and step: cube units per sample, which give a sample's length along the ray.
-        counts: written, [rays] int64.
-        out: written, [rays, most, 6] float32: begin and end (distance along the ray, scene units), premultiplied red,
+        space: Space; with step, the cube units per sample, it gives a sample's length along the ray.
+        counts: output, [rays] int64.
+        out: output, [rays, most, 6] float32: begin and end (distance along the ray, scene units), premultiplied red,
             green, blue (sRGB-encoded), weight.
     """
     starts, ends, t, deltas, weights = samples.starts, samples.ends, samples.t, samples.deltas, samples.weights
     origins, directions = rays.origins, rays.directions
     n = len(ends)
     for thread in prange(threads):
-        row = np.empty((samples_per_ray, 7), np.float32)  # out's six, and the weighted mean of t
+        row = np.empty((samples_per_ray, 7), np.float32)  # the six of `out`, and the weighted mean of t
         q = np.empty(3, np.float32)
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             held = 0
@@ -48,7 +48,7 @@ def segments(samples, colors, rays, space, step, most, samples_per_ray, threads,
                     px, py, pz = origins[r, 0] + t[k] * dx, origins[r, 1] + t[k] * dy, origins[r, 2] + t[k] * dz
                     speed, _ = warp_at(space, px, py, pz, dx, dy, dz, q)
                     reach = _HALF * step / speed
-                # Where steps grow along the ray, those of neighbors overlap.
+                # Where steps grow along the ray, neighbors overlap.
                 row[held, 0] = min(max(t[k] - reach, last), t[k])
                 row[held, 1] = t[k] + reach
                 for a in range(3):

@@ -1,6 +1,6 @@
-"""Gradients of a deformation x' = x + D(x) to its grid D, and which cells it moves to occupied ones.
+"""Gradients of a deformation x' = x + D(x) with respect to its grid D, and which cells it maps to occupied ones.
 
-The grid is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as march_density reads it.
+The grid is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as in march_density.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 def displacement_backward(space, rays, samples, position_gradients, vertices, to):
     """Add dL/dD to the thread's buffer to[thread], flat [vertices^3, 3], from dL/dx' [n, 3].
 
-    samples.x holds the displaced positions x'; one that was clamped to the cube's side does not move with D. The opaque
-    background (delta 0) is not displaced.
+    samples.x holds the displaced positions x'; coordinates clamped to the cube get no gradient. The opaque background
+    (delta 0) is not displaced.
     """
     origins, directions = rays.origins, rays.directions
     starts, ends, t, deltas, x = samples.starts, samples.ends, samples.t, samples.deltas, samples.x
@@ -31,7 +31,7 @@ def displacement_backward(space, rays, samples, position_gradients, vertices, to
                 if deltas[k] == _ZERO:
                     continue
                 s = t[k]
-                # Samples hold x' alone; x, where D was read, is computed again from t.
+                # Samples hold only x'; x, where D was read, is recomputed from t.
                 warp_at(space, ox + s * dx, oy + s * dy, oz + s * dz, dx, dy, dz, q)
                 i, fx = cell(q[0], vertices)
                 j, fy = cell(q[1], vertices)
@@ -49,9 +49,9 @@ def displacement_backward(space, rays, samples, position_gradients, vertices, to
 
 @parallel_kernel
 def displaced_cells(occupancy, displacement, reach, occupied):
-    """Set occupied[cell] where D moves any of 27 points of a cell into an occupied one.
+    """Set occupied[cell] where D maps any of 27 points in the cell into an occupied one.
 
-    reach: in cells, at least as far as D moves anything; cells farther than that from an occupied one are skipped.
+    reach: upper bound of D in cells; cells farther than that from an occupied one are skipped.
     """
     distances, cells = occupancy
     grid, vertices = displacement
@@ -62,7 +62,7 @@ def displaced_cells(occupancy, displacement, reach, occupied):
                 at = (i * cells + j) * cells + k
                 if distances[at] > reach:
                     continue
-                for point in range(27):  # a lattice that stays 2 % inside the cell, so that rounding leaves it there
+                for point in range(27):  # a lattice 2 % inside the cell, to be safe from rounding
                     p[0] = (np.float32(i) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 9)) / cells
                     p[1] = (np.float32(j) + np.float32(0.02) + np.float32(0.48) * np.float32(point // 3 % 3)) / cells
                     p[2] = (np.float32(k) + np.float32(0.02) + np.float32(0.48) * np.float32(point % 3)) / cells
@@ -74,7 +74,7 @@ def displaced_cells(occupancy, displacement, reach, occupied):
 
 @serial_kernel
 def mark_cells(points, vertices, seen):
-    """Set seen [v, v, v] at the lower vertex of each cell that holds a point of positive weight; v = vertices."""
+    """Set seen [v, v, v] at the lower vertex of each cell that contains a point with positive weight; v = vertices."""
     starts, ends, x, weights = points
     for r in range(len(ends)):
         for k in range(starts[r], ends[r]):

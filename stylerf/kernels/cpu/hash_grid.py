@@ -1,9 +1,9 @@
-"""A multi-resolution hash grid (Mueller et al. 2022) as a color, as a density, and as features of a color head.
+"""A multi-resolution hash grid (Mueller et al. 2022) as a color, as a density, and as features for a color head.
 
-Level l is a grid of resolution[l]^3 cells whose vertices carry four floats, or one in a density. A level whose
-(resolution + 1)^3 vertices fit its table is indexed directly, others by iz ^ iy 2654435761 ^ ix 805459861 modulo the
-table's length (2^k). layout: int32 [6, levels], see simd_hash.py. levels: a tuple as long as there are levels (a
-compile-time constant).
+Level l is a grid of resolution[l]^3 cells with four floats per vertex, or one for a density. A level whose
+(resolution + 1)^3 vertices fit in its table is indexed directly, others by iz ^ iy 2654435761 ^ ix 805459861 modulo the
+table's length (2^k). layout: int32 [6, levels], see simd_hash.py. levels: a tuple whose length is the number of levels
+(a compile-time constant).
 """
 
 import math
@@ -35,9 +35,9 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 @parallel_kernel
 def color(table, layout, levels, points, threads, out):
-    """Colors of points with a positive weight; others get -1 in channel 0.
+    """Compute colors of points with positive weight; others get -1 in channel 0.
 
-    The levels' values sum to f (4); the color is sigmoid(f[0:3] + f[3]). It feeds no network: decision 0008.
+    The levels' values add up to f (4); the color is sigmoid(f[0:3] + f[3]), without a network (decision 0008).
     """
     starts, ends, x, weights = points
     n = len(ends)
@@ -60,7 +60,7 @@ def color(table, layout, levels, points, threads, out):
 
 @inline
 def _logit_gradient(colors, color_gradients, k, g):
-    """g = dL/df of sample k: the three logits are f[0:3] + f[3]."""
+    """g = dL/df of sample k; the three logits are f[0:3] + f[3]."""
     for j in range(3):
         g[j] = color_gradients[k, j] * colors[k, j] * (_ONE - colors[k, j])
     g[3] = g[0] + g[1] + g[2]
@@ -82,7 +82,7 @@ def color_backward(layout, levels, points, colors, color_gradients, to):
                 if colors[k, 0] < _ZERO:
                     continue
                 if k + 1 < stop and colors[k + 1, 0] >= _ZERO:
-                    # The gradients' rows: the table is not read here, since a sigmoid's slope follows from its value.
+                    # The gradients' rows; the table is not read, since a sigmoid's derivative follows from its value.
                     hash_prefetch(flat, base, layout, x[k + 1, 0], x[k + 1, 1], x[k + 1, 2], levels)
                 _logit_gradient(colors, color_gradients, k, g)
                 hash_features_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, np.int64(0), levels)
@@ -90,7 +90,7 @@ def color_backward(layout, levels, points, colors, color_gradients, to):
 
 @parallel_kernel
 def color_position_gradient(table, layout, levels, points, colors, color_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3] of points that have a color; the slope is that of the cell that a point lies in."""
+    """Add dL/dx [n, 3] for colored points; the slope is that of the cell that contains the point."""
     starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
     flat = position_gradients.reshape(-1)
@@ -108,14 +108,14 @@ def color_position_gradient(table, layout, levels, points, colors, color_gradien
 
 @inline
 def raw_density(density, levels, x):
-    """exp(shift + levels) of one warped point, the exponent clamped to [-15, 12]."""
+    """Return exp(shift + levels) at one warped point, with the exponent clamped to [-15, 12]."""
     total = density.shift + hash_sum(density.table, density.layout, x[0], x[1], x[2], levels)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
 
 
 @parallel_kernel
 def density_at(density, levels, x, threads, sigma):
-    """sigma [n]: raw density of warped points x [n, 3]."""
+    """sigma [n] = raw density at warped points x [n, 3]."""
     n = len(x)
     for thread in prange(threads):
         for p in range(thread * n // threads, (thread + 1) * n // threads):
@@ -134,7 +134,7 @@ def march_density(density, levels, rays, space, occupancy, displacement, setting
 
 @parallel_kernel
 def density_backward(density, levels, samples, sigma_gradients, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    """Add dL/d(table) and, after the table's last element, dL/d(shift) to the thread's buffer to[thread]."""
     layout = density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -145,7 +145,7 @@ def density_backward(density, levels, samples, sigma_gradients, to):
         base = np.int64(thread * stride)
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
+                g = sigma_gradients[k] * sigma[k]  # exp'(e) = exp(e), even beyond the clamp, or e could not return
                 if g != _ZERO:
                     shift_gradient += g
                     hash_sum_backward(flat, base, layout, x[k, 0], x[k, 1], x[k, 2], g, levels)
@@ -154,7 +154,7 @@ def density_backward(density, levels, samples, sigma_gradients, to):
 
 @parallel_kernel
 def density_position_gradient(density, levels, samples, sigma_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3]; the slope is that of the cell a sample lies in."""
+    """Add dL/dx [n, 3]; the slope is that of the cell that contains the sample."""
     table, layout = density.table, density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -169,9 +169,9 @@ def density_position_gradient(density, levels, samples, sigma_gradients, threads
 
 @parallel_kernel
 def smoothness_backward(table, cells, first, width, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighboring vertices of one direct level."""
+    """Add strength * d/dt of half the sum of squared differences between neighboring vertices of one direct level."""
     n = cells + 1
-    # Every pair is visited from both ends, and a vertex writes its own gradient only: no race in the one buffer.
+    # Every pair is visited from both ends, and a vertex writes only its own gradient, so there are no races.
     for i in prange(n):
         for j in range(n):
             for k in range(n):
@@ -194,12 +194,12 @@ def smoothness_backward(table, cells, first, width, strength, to):
                     to[here + f] += strength * s
 
 
-# -- features of chosen samples, for a color head ----------------------------------------------------------------------
+# -- features of selected samples, for a color head --------------------------------------------------------------------
 
 
 @parallel_kernel
 def features(table, layout, levels, x, index, threads, out):
-    """out [m, 4 levels] of samples x[index[i]] in 0..1: the levels side by side."""
+    """out [m, 4 levels] for samples x[index[i]] in 0..1: the levels concatenated."""
     n, width = out.shape
     flat = out.reshape(-1)
     for thread in prange(threads):
@@ -223,7 +223,7 @@ def features_backward(table, layout, levels, x, index, gradients, threads, to):
 
 @parallel_kernel
 def features_position_gradient(table, layout, levels, x, index, gradients, threads, position_gradients):
-    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    """Add dL/dx of the selected samples to position_gradients [n, 3]."""
     n, width = gradients.shape
     flat, out = gradients.reshape(-1), position_gradients.reshape(-1)
     for thread in prange(threads):

@@ -1,18 +1,18 @@
-"""Distances to occupied cells, by which rays skip empty space."""
+"""Distances to occupied cells, used to skip empty space."""
 
 import numpy as np
 
 from stylerf.kernels.cpu.compiling import inline, serial_kernel
 
-FARTHEST = 255  # cells; of uint8
+FARTHEST = 255  # cells; maximum of uint8
 
 
 @inline
 def _relax_row(out, x, y, toward, lowest):
-    """Lower the distances of row out[x, y] to one more than those of its neighbors that the pass has been to.
+    """Lower the distances of row out[x, y] to one more than those of its neighbors already visited in this pass.
 
-    toward: 1 in the pass from low indices to high ones, -1 in the other. lowest: memory for a row and a cell at each
-    end, of which those hold FARTHEST.
+    toward: 1 in the pass from low to high indices, -1 in the other. lowest: scratch memory for a row plus one cell at
+    each end, which hold FARTHEST.
     """
     cells = out.shape[0]
     row = out[x, y]

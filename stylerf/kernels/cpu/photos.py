@@ -1,4 +1,4 @@
-"""Kernels on photos: rays of their pixels, resampling, and the cells of space that their masks rule out."""
+"""Kernels on photos: rays of pixels, resampling, and cells of space ruled out by masks."""
 
 import math
 from typing import NamedTuple
@@ -13,16 +13,16 @@ _BYTE = np.float32(1.0 / 255.0)
 
 
 class Photos(NamedTuple):
-    """8-bit photos, one after another, and their cameras.
+    """Concatenated 8-bit photos and their cameras.
 
     Attributes:
         values: [sum of h w channels] uint8.
         channels: 3 or 4 (straight alpha).
-        starts: [views], offset of a view's first byte in `values`.
+        starts: [views], offset of each view's first byte in `values`.
         widths: [views], pixels.
         intrinsics: [views, 4], fx fy cx cy, pixels.
         poses: [views, 3, 4], world from camera (OpenCV axes).
-        codes: [views, 256], the color that a byte of a view stands for.
+        codes: [views, 256], color of each byte value in a view.
     """
 
     values: np.ndarray
@@ -36,9 +36,9 @@ class Photos(NamedTuple):
 
 @parallel_kernel
 def gather(photos, views, pixels, origins, directions, colors):
-    """Fill ray r from pixel pixels[r] (row-major) of view views[r]: rays are never stored.
+    """Compute ray r from pixel pixels[r] (row-major) of view views[r]; rays are never stored.
 
-    colors: [rays, 4], written: rgb and alpha 0..1 (alpha 1 for images of three channels).
+    colors: output, [rays, 4]: rgb and alpha 0..1 (alpha 1 for images with three channels).
     """
     values, channels, starts, widths = photos.values, photos.channels, photos.starts, photos.widths
     intrinsics, poses, codes = photos.intrinsics, photos.poses, photos.codes
@@ -60,7 +60,7 @@ def gather(photos, views, pixels, origins, directions, colors):
 
 @inline
 def _cubic(t):
-    """Catmull-Rom weights of the four neighbors at offset t in 0..1 from the second (Keys 1981, a = -1/2)."""
+    """Return Catmull-Rom weights of the four neighbors at offset t in 0..1 from the second (Keys 1981, a = -1/2)."""
     return (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,
@@ -71,9 +71,9 @@ def _cubic(t):
 
 @parallel_kernel
 def remapped(pixels, positions):
-    """Sample a picture [h, w, c] float32 at positions [a, b, 2]: [a, b, c], clipped to 0..1.
+    """Sample an image [h, w, c] float32 at positions [a, b, 2]: [a, b, c], clipped to 0..1.
 
-    Positions are (x, y), pixel centers at halves. Beyond the border the nearest pixel counts.
+    Positions are (x, y), pixel centers at halves. Beyond the border, the nearest pixel is used.
     """
     height, width, channels = pixels.shape
     out = np.empty((positions.shape[0], positions.shape[1], channels), np.float32)
@@ -90,20 +90,20 @@ def remapped(pixels, positions):
                     for b in range(4):
                         line += np.float32(wx[b]) * pixels[row, min(max(left - 1 + b, 0), width - 1), c]
                     total += np.float32(wy[a]) * line
-                # The outer two weights are negative: at sharp edges the sum overshoots.
+                # The outer two weights are negative, so the sum overshoots at sharp edges.
                 out[i, j, c] = min(max(total, np.float32(0)), np.float32(1))
     return out
 
 
 @parallel_kernel
 def count_clear(sums, pose, fx, fy, cx, cy, low, width, cells, radius, threads, seen, clear):
-    """Add 1 to seen[cell] if a cell's ball projects into the picture, to clear[cell] if nothing is marked there.
+    """Add 1 to seen[cell] if a cell's ball projects into the image, to clear[cell] if no pixel is marked there.
 
     Args:
-        sums: [h + 1, w + 1] int32, summed-area table of the picture's marks.
+        sums: [h + 1, w + 1] int32, summed-area table of the image's marks.
         pose: [3, 4] float32, world from camera.
-        low, width: [3] float32, the box's lower corner and its cells' sides.
-        radius: of a cell's ball.
+        low, width: [3] float32, the box's lower corner and the sides of its cells.
+        radius: of a cell's bounding ball.
     """
     height, length = sums.shape[0] - 1, sums.shape[1] - 1
     for thread in prange(threads):
@@ -114,18 +114,18 @@ def count_clear(sums, pose, fx, fy, cx, cy, low, width, cells, radius, threads, 
                 for k in range(cells):
                     z = low[2] + (np.float32(k) + np.float32(0.5)) * width[2] - pose[2, 3]
                     depth = x * pose[0, 2] + y * pose[1, 2] + z * pose[2, 2]
-                    # A ball that reaches the camera's plane has no bounded projection.
+                    # A ball that touches the camera plane has an unbounded projection.
                     if depth <= radius:
                         continue
                     u = (x * pose[0, 0] + y * pose[1, 0] + z * pose[2, 0]) / depth
                     v = (x * pose[0, 1] + y * pose[1, 1] + z * pose[2, 1]) / depth
-                    # A ball projects to an ellipse, longer the farther it is from the optical axis; this bounds it.
+                    # A ball projects to an ellipse, which is longer farther off the optical axis; this is its bound.
                     reach = radius * (np.float32(1) + u * u + v * v) / (depth - radius)
                     left = math.floor(fx * (u - reach) + cx) - 1
                     right = math.ceil(fx * (u + reach) + cx) + 1
                     top = math.floor(fy * (v - reach) + cy) - 1
                     bottom = math.ceil(fy * (v + reach) + cy) + 1
-                    # The object may go on beyond the border: a view says nothing about a ball that it cuts.
+                    # The object may continue beyond the border, so a view cannot judge a ball that its border cuts.
                     if left < 0 or top < 0 or right > length or bottom > height:
                         continue
                     cell = (i * cells + j) * cells + k

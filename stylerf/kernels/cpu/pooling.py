@@ -1,4 +1,4 @@
-"""2x2 maxima of feature maps at stride 2."""
+"""2x2 max pooling of feature maps with stride 2."""
 
 import numpy as np
 from numba import prange
@@ -8,9 +8,9 @@ from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 
 @parallel_kernel
 def max_pool(features: np.ndarray, pooled: np.ndarray) -> None:
-    """Write the maxima of each 2x2 square of features [n, h, w] to pooled [n, h', w'].
+    """Write the maximum of each 2x2 square of features [n, h, w] to pooled [n, h', w'].
 
-    h' and w' are h / 2 and w / 2, rounded down (an odd last row or column is cut) or up (it is a square of its own).
+    h' and w' are h / 2 and w / 2, rounded down (an odd last row or column is dropped) or up (it forms its own squares).
     """
     for i in prange(len(features)):
         _pool_map(features[i], pooled[i])
@@ -18,22 +18,22 @@ def max_pool(features: np.ndarray, pooled: np.ndarray) -> None:
 
 @parallel_kernel
 def max_pool_gradient(features: np.ndarray, pooled: np.ndarray, gradient: np.ndarray, out: np.ndarray) -> None:
-    """Write the gradient of max_pool to out [n, h, w], zero where the pooling cut rows and columns.
+    """Write the gradient of max_pool to out [n, h, w], zero where the pooling dropped rows or columns.
 
-    Every element that equals its square's maximum receives all of the gradient. Ties are squares of zeros, which the
-    ReLU before the pooling takes no gradient from; others do not occur in practice.
+    Every element that equals its square's maximum receives the full gradient. Ties are squares of zeros, for which the
+    preceding ReLU discards the gradient; others do not occur in practice.
     """
     for i in prange(len(features)):
         _gradient_of_map(features[i], pooled[i], gradient[i], out[i])
 
 
-# One map each: numba (0.68) drops assignments to elements of row views that are made in the body of a prange.
+# Separate functions per map: numba (0.68) drops assignments to elements of row views created in the body of a prange.
 
 
 @inline
 def _pool_map(features, pooled):
     height, width = features.shape
-    whole = width // 2  # squares that lie within the map: their loop checks no bounds, and is vectorized
+    whole = width // 2  # squares entirely inside the map: their loop needs no bounds checks and is vectorized
     for y in range(pooled.shape[0]):
         upper, lower, out = features[2 * y], features[min(2 * y + 1, height - 1)], pooled[y]
         for x in range(whole):

@@ -1,11 +1,11 @@
-"""What the CPU kernels take in place of long argument lists: NamedTuples of arrays.
+"""NamedTuples of arrays, which the CPU kernels take instead of long argument lists.
 
-numba compiles a kernel for the types of a tuple's fields as for separate arguments. Kernels unpack a tuple before their
-parallel loop, so that only the arrays they use enter it; a tuple inside a tuple cannot enter one at all, and tuples
-whose length is a compile-time constant (a rank, a number of levels) therefore stay separate arguments.
+numba specializes a kernel on the types of a tuple's fields, as for separate arguments. Kernels unpack a tuple before
+their parallel loop, so that only arrays in use enter it; nested tuples cannot enter one at all, so tuples whose length
+is a compile-time constant (a rank, a number of levels) remain separate arguments.
 
-These classes live here because the cache of compiled kernels is keyed by the sources in this folder: numba compares
-tuple types by class name and field types, not by the order of fields.
+These classes are defined here because the cache of compiled kernels is keyed by the sources in this folder: numba
+compares tuple types by class name and field types, not by the order of fields.
 """
 
 from typing import NamedTuple
@@ -30,19 +30,19 @@ class Rays(NamedTuple):
 
     @staticmethod
     def of(origins: np.ndarray, directions: np.ndarray, near: float, jitter: np.ndarray | None = None) -> "Rays":
-        """Make rays that start at distance `near`, in the middle of the first step unless `jitter` is given."""
+        """Create rays that start at distance `near`, in the middle of the first step unless `jitter` is given."""
         n = len(origins)
         middle = np.full(n, 0.5, np.float32) if jitter is None else jitter
         return Rays(origins, directions, middle, np.full(n, near, np.float32))
 
 
 class ShadingPoints(NamedTuple):
-    """Points along rays to be colored; those of ray r are starts[r]:ends[r], the rest is padding.
+    """Points along rays to color; those of ray r are starts[r]:ends[r], the rest is padding.
 
     Attributes:
         starts, ends: [rays] int64.
         x: [n, 3], in the unit cube.
-        weights: [n], compositing weights; points of weight 0 get no color.
+        weights: [n], compositing weights; points with weight 0 get no color.
     """
 
     starts: np.ndarray
@@ -73,16 +73,16 @@ class Samples(NamedTuple):
 
     @property
     def total(self) -> int:
-        """Number of samples on all rays."""
+        """Total number of samples on all rays."""
         return int((self.ends - self.starts).sum())
 
     def shading_points(self, weights: np.ndarray | None = None) -> ShadingPoints:
-        """Return the samples as points to color, with their own weights or with `weights` [n]."""
+        """Return the samples as points to color, with their own weights or `weights` [n]."""
         return ShadingPoints(self.starts, self.ends, self.x, self.weights if weights is None else weights)
 
 
 class Space(NamedTuple):
-    """The warp of space to the unit cube (geometry/space_warp.py): its kind, its packed numbers, its far distance."""
+    """The warp of space to the unit cube (geometry/space_warp.py): its kind, packed parameters and far distance."""
 
     kind: int
     numbers: np.ndarray  # [7] float32, see march.warp_at
@@ -104,13 +104,13 @@ class Displacement(NamedTuple):
 
 
 class MarchSettings(NamedTuple):
-    """How rays are marched.
+    """Settings of ray marching.
 
     Attributes:
         step: advance of the warped position per sample, cube units.
-        samples_per_ray: most samples on a ray.
-        min_transmittance: a ray ends once its transmittance falls below this.
-        opaque_background: whether the far end absorbs the remaining light (captures of the real world).
+        samples_per_ray: maximum number of samples per ray.
+        min_transmittance: transmittance below which a ray terminates.
+        opaque_background: whether the far end absorbs the remaining light (real-world captures).
     """
 
     step: np.float32
@@ -120,7 +120,7 @@ class MarchSettings(NamedTuple):
 
 
 class Density(NamedTuple):
-    """A density's numbers: its table [n] float32, how the table is laid out, and the shift of the exponent."""
+    """A density's parameters: its table [n] float32, the table's layout, and the shift of the exponent."""
 
     table: np.ndarray
     layout: np.ndarray
@@ -128,7 +128,7 @@ class Density(NamedTuple):
 
 
 class LinearColor(NamedTuple):
-    """A vm color's numbers: table [n], vertices per axis [3] int64, head flat [3, bands, 3 rank], bias [3]."""
+    """A vm color's parameters: table [n], vertices per axis [3] int64, head flat [3, bands, 3 rank], bias [3]."""
 
     table: np.ndarray
     size: np.ndarray

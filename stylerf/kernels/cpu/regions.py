@@ -1,4 +1,4 @@
-"""Regions, grids of marked cells over the cube: the part of each ray inside, and their own colors on top of others."""
+"""Regions (grids of marked cells over the cube): the part of each ray inside, and their own colors on top of others."""
 
 import numpy as np
 from numba import prange
@@ -6,13 +6,14 @@ from numba import prange
 from stylerf.kernels.cpu.compiling import inline, parallel_kernel
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
-# Of the base's odds, both ways: nothing could move a logit of infinity, and white and black can be repainted too.
+# Lower bound of the base's odds and inverse odds: infinite logits could not be changed, so that even pure black and
+# white can be repainted.
 MIN_ODDS = np.float32(1e-4)
 
 
 @inline
 def cell_of(x, k, cells):
-    """Return the row-major index of the cell that point k lies in; points outside the cube count to its border."""
+    """Return the row-major index of the cell that contains point k, clamped to the cube."""
     number = np.int64(0)
     for a in range(3):
         i = np.int64(x[k, a] * np.float32(cells))
@@ -22,7 +23,7 @@ def cell_of(x, k, cells):
 
 @parallel_kernel
 def weights_inside(marked, cells, points, threads, out):
-    """out[r] = sum of the ray's weights over points whose cell is marked; marked: [cells^3] bool."""
+    """out[r] = sum of the ray's weights over points in marked cells; marked: [cells^3] bool."""
     starts, ends, x, weights = points
     n = len(ends)
     for thread in prange(threads):
@@ -36,7 +37,7 @@ def weights_inside(marked, cells, points, threads, out):
 
 @parallel_kernel
 def add_to_cells(values, cells, points, to):
-    """Add w (values[r], 1) of every point of ray r to to[its cell]; values: [rays, m], to: [cells^3, m + 1]."""
+    """Add w (values[r], 1) of every point of ray r to to[cell]; values: [rays, m], to: [cells^3, m + 1]."""
     starts, ends, x, weights = points
     m = values.shape[1]
     for _ in prange(1):  # serial: rays share cells
@@ -73,9 +74,9 @@ def ends_inside(marked, cells, points, t, threads, out):
 
 @parallel_kernel
 def mark_cells(samples, cells, min_weight, threads, marked):
-    """Set marked[cell] = 1 for the cells of samples that weigh at least `min_weight`; marked: [cells^3] uint8.
+    """Set marked[cell] = 1 for the cells of samples with a weight of at least `min_weight`; marked: [cells^3] uint8.
 
-    The opaque background (delta 0) is in no cell. Threads may mark the same cell: they all write 1.
+    The opaque background (delta 0) is in no cell. Several threads may mark the same cell, but all write 1.
     """
     starts, ends, x, weights, deltas = samples.starts, samples.ends, samples.x, samples.weights, samples.deltas
     n = len(ends)
@@ -88,7 +89,7 @@ def mark_cells(samples, cells, min_weight, threads, marked):
 
 @parallel_kernel
 def zero_outside(marked, cells, samples, threads, values):
-    """Set values[k] = 0 for samples whose cell is not marked; marked: [cells^3] bool."""
+    """Set values[k] = 0 for samples outside marked cells; marked: [cells^3] bool."""
     starts, ends, x = samples.starts, samples.ends, samples.x
     n = len(ends)
     for thread in prange(threads):
@@ -114,7 +115,7 @@ def fill(value, points, threads, out):
 
 @parallel_kernel
 def weigh_cells(shares, marked, cells, inside, outside, points, threads, out):
-    """out[k] = shares[k] times `inside` in marked cells [cells^3] bool, times `outside` elsewhere; may be in place."""
+    """out[k] = shares[k] times `inside` in marked cells [cells^3] bool, times `outside` elsewhere; works in place."""
     starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
     for thread in prange(threads):
@@ -128,7 +129,7 @@ def weigh_cells(shares, marked, cells, inside, outside, points, threads, out):
 
 @inline
 def _into_box(x, k, low, scale, own_x):
-    """Position k in the box, 0..1."""
+    """own_x = position k in the box, 0..1."""
     for a in range(3):
         own_x[k, a] = min(max((x[k, a] - low[a]) * scale, _ZERO), _ONE)
 
@@ -149,7 +150,7 @@ def restrict(marked, cells, low, scale, points, threads, own_x, own_weights):
 
 @parallel_kernel
 def add_logits(own, starts, ends, threads, out):
-    """out = sigmoid(logit(out) + logit(own)) where both are colors (channel 0 >= 0): odds multiply."""
+    """out = sigmoid(logit(out) + logit(own)) where both are colors (channel 0 >= 0): odds are multiplied."""
     n = len(ends)
     for thread in prange(threads):
         for r in range(thread * n // threads, (thread + 1) * n // threads):
@@ -164,7 +165,7 @@ def add_logits(own, starts, ends, threads, out):
 
 @parallel_kernel
 def restrict_colored(marked, cells, low, scale, points, colors, threads, own_x, inside):
-    """own_x as in restrict, inside = colors for points in marked cells; elsewhere -1 in the first channel."""
+    """own_x as in restrict(), inside = colors for points in marked cells; elsewhere -1 in the first channel."""
     starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
     for thread in prange(threads):

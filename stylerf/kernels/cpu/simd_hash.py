@@ -1,8 +1,8 @@
 """The hash grid's gather and scatter in LLVM IR.
 
 Indices are computed for all levels at once, one level per vector lane; then, level by level, the eight vertices around
-the point, four floats each, are loaded (or added to) as whole rows. Compared with scalar indexing (8 levels, points
-along rays, one core): forward 160 -> 100 ns a sample, backward 150 -> 100.
+the point, four floats each, are loaded (or accumulated) as whole rows. Compared with scalar indexing (8 levels, points
+along rays, one core): forward 160 -> 100 ns per sample, backward 150 -> 100.
 """
 
 import math
@@ -14,15 +14,15 @@ from numba.extending import intrinsic
 
 from stylerf.kernels.cpu.simd_vm import INDEX, INT32, SCALAR, Rows, data_pointer, prefetch
 
-ROW = 4  # floats of a vertex
-PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z takes 1 (Mueller et al. 2022, eq. 4)
+ROW = 4  # floats per vertex
+PRIME_X, PRIME_Y = 805459861, 2654435761 - 2**32  # as signed 32-bit numbers; z uses 1 (Mueller et al. 2022, eq. 4)
 
 
 class Levels:
     """A point in every level: offsets of the eight vertices around it (x slowest, z fastest), position in the cell.
 
     layout: int32 [6, levels]: resolution, multiplier of x, of y, mask, first float of the level, -1 where hashed.
-    row: floats of a vertex.
+    row: floats per vertex.
     """
 
     def __init__(self, context, builder, layout, point, count: int, row: int = ROW) -> None:
@@ -33,7 +33,7 @@ class Levels:
         self.resolutions = builder.sitofp(cells, self.lanes.type)
         low, self.fractions = zip(*(self._split(x, cells) for x in point))
         one = self._constant(1)
-        # (i + 1) times_x = i times_x + times_x also where 32-bit products wrap, as those of the hash do.
+        # (i + 1) times_x = i times_x + times_x holds even if 32-bit products wrap, as in the hash.
         xs = [builder.mul(low[0], times_x)]
         ys = [builder.mul(low[1], times_y)]
         xs.append(builder.add(xs[0], times_x))
@@ -59,7 +59,7 @@ class Levels:
         return loaded
 
     def _split(self, x, cells):
-        """Lower vertex and position in the cell; the clamp keeps even a NaN inside the table."""
+        """Return the lower vertex and the position in the cell; the clamp keeps even a NaN inside the table."""
         b = self.builder
         place = self.lanes.mul(self.lanes.splat(x), self.resolutions)
         index, last = b.fptosi(place, self.ints), b.sub(cells, self._constant(1))
@@ -68,7 +68,7 @@ class Levels:
         return index, self.lanes.sub(place, b.sitofp(index, self.lanes.type))
 
     def corner_offsets(self, level: int) -> list:
-        """The eight vertices' offsets in the table, in floats, of one level."""
+        """Return the eight vertices' offsets in the table, in floats, for one level."""
         numbers = self.builder.bitcast(self.offsets, INT32.as_pointer())
         places = [ir.Constant(INT32, corner * self.count + level) for corner in range(8)]
         return [self.builder.sext(self.builder.load(self.builder.gep(numbers, [p])), ir.IntType(64)) for p in places]
@@ -83,14 +83,14 @@ def _after(builder, index, steps: int):
 
 
 def _mix(rows, low, high, weight):
-    """low + weight (high - low)."""
+    """Return low + weight (high - low)."""
     return rows.fused(weight, rows.sub(high, low), low)
 
 
 def interpolate(rows, values, fractions):
-    """Trilinear interpolation of eight rows."""
+    """Return the trilinear interpolation of eight rows."""
     for fraction in fractions:
-        # The two halves differ in the slowest axis that is left: x, then y, then z.
+        # The two halves differ in the slowest remaining axis: x, then y, then z.
         half = len(values) // 2
         values = [_mix(rows, low, high, fraction) for low, high in zip(values[:half], values[half:])]
     return values[0]
@@ -102,8 +102,8 @@ def _level_rows(rows, levels, table, level):
 
 
 def _scatter(rows, levels, target, level, gradient) -> None:
-    """Add each of a level's eight vertices' share of a gradient row to the buffer at `target`."""
-    # Backward of interpolate: each axis splits a share f into (1 - w) f and w f, in the order of the corners.
+    """Add the shares of a gradient row for a level's eight vertices to the buffer at `target`."""
+    # Backward of interpolate: each axis splits a share f into (1 - w) f and w f, in corner order.
     shares = [gradient]
     for fraction in levels.fractions:
         weight = rows.splat(lane(rows.builder, fraction, level))
@@ -114,7 +114,7 @@ def _scatter(rows, levels, target, level, gradient) -> None:
 
 
 def _sigmoid(rows, z):
-    """1 / (1 + 2^u), u = -z log2 e clamped to +-80; 2^u = 2^n 2^f with |f| <= 1/2, to order 7: error under 3e-7."""
+    """1 / (1 + 2^u), u = -z log2 e clamped to +-80; 2^u = 2^n 2^f with |f| <= 1/2, to order 7: error below 3e-7."""
     b, count = rows.builder, rows.rank
     ints = ir.VectorType(INT32, count)
 
@@ -122,25 +122,25 @@ def _sigmoid(rows, z):
         return ir.Constant(rows.type, [value] * count)
 
     u = rows.mul(z, number(-math.log2(math.e)))
-    # Keeps n + 127 a valid exponent; the sigmoid has saturated long before.
+    # Keeps n + 127 a valid exponent; the sigmoid saturates long before.
     for bound, comparison in ((80.0, ">"), (-80.0, "<")):
         u = b.select(b.fcmp_ordered(comparison, u, number(bound)), number(bound), u)
-    # Rounds to nearest: adds half away from zero, then truncates.
+    # Round to nearest: add half away from zero, then truncate.
     half = b.select(b.fcmp_ordered("<", u, number(0.0)), number(-0.5), number(0.5))
     whole = b.fptosi(b.fadd(u, half), ints)
     fraction = rows.sub(u, b.sitofp(whole, rows.type))
-    # Taylor series of 2^f = exp(f ln 2), by Horner's rule.
+    # Taylor series of 2^f = exp(f ln 2), evaluated by Horner's rule.
     power = number(math.log(2) ** 7 / math.factorial(7))
     for order in range(6, -1, -1):
         power = rows.fused(power, fraction, number(math.log(2) ** order / math.factorial(order)))
-    # 2^n by its bits: n + 127 in a float32's exponent field.
+    # 2^n from its bits: n + 127 in the exponent field of a float32.
     exponent = b.shl(b.add(whole, ir.Constant(ints, [127] * count)), ir.Constant(ints, [23] * count))
     power = rows.mul(power, b.bitcast(exponent, rows.type))
     return b.fdiv(number(1.0), rows.add(number(1.0), power))
 
 
 def _sum(rows, terms):
-    """Sum pairwise: shorter than a dependency chain of eight additions."""
+    """Return the pairwise sum, which has a shorter dependency chain than eight successive additions."""
     while len(terms) > 1:
         terms = [rows.add(*pair) for pair in zip(terms[::2], terms[1::2])] + terms[len(terms) & ~1 :]
     return terms[0]
@@ -150,7 +150,7 @@ def _sum(rows, terms):
 def hash_prefetch(typing, table, at, layout, x, y, z, levels):
     """Prefetch the vertices of table[at:] around (x, y, z) while another point is being computed.
 
-    Of each edge along z the lower end alone: both mostly lie in one line of the cache.
+    Only the lower end of each edge along z: both are usually in the same cache line.
     """
 
     def generate(context, builder, sig, args):
@@ -238,7 +238,7 @@ def hash_rows(typing, table, layout, x, y, z, out, at, levels):
 
 @intrinsic
 def hash_rows_backward(typing, buffer, at, layout, x, y, z, gradients, row, levels):
-    """As hash_features_backward, of hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
+    """hash_features_backward for hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
@@ -257,7 +257,7 @@ def _add_slopes(rows, where, table, gradient_of, out) -> None:
     totals: list[list] = [[], [], []]
     for level in range(where.count):
         values, fractions = _level_rows(rows, where, table, level)
-        # The slopes below are per cell; a level has `resolution` cells to the cube.
+        # The slopes below are per cell; a level has `resolution` cells per cube side.
         gradient = rows.mul(gradient_of(level), rows.splat(lane(rows.builder, where.resolutions, level)))
         for axis, step in enumerate(steps(rows, values, fractions)):
             totals[axis].append(rows.mul(gradient, step))
@@ -267,10 +267,10 @@ def _add_slopes(rows, where, table, gradient_of, out) -> None:
 
 
 def steps(rows, values, fractions):
-    """Slopes of the trilinear interpolation along each axis, per cell width."""
+    """Return the slopes of the trilinear interpolation along each axis, per cell width."""
     found = []
     for axis in range(3):
-        # The axes before this one are mixed already; the difference along it is mixed along those after it.
+        # Earlier axes are already interpolated; the difference along this axis is interpolated along the later ones.
         half = len(values) // 2
         found.append(
             interpolate(rows, [rows.sub(h, l) for l, h in zip(values[:half], values[half:])], fractions[axis + 1 :])
@@ -296,7 +296,7 @@ def hash_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels)
 
 @intrinsic
 def hash_rows_slopes(typing, table, layout, x, y, z, gradients, row, out, at, levels):
-    """As hash_slopes, of hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
+    """hash_slopes for hash_rows: every level has its own dL/df, gradients[row + 4 l : row + 4 l + 4]."""
 
     def generate(context, builder, sig, args):
         rows, count = Rows(builder, ROW), sig.args[-1].count
@@ -316,8 +316,8 @@ def hash_rows_slopes(typing, table, layout, x, y, z, gradients, row, out, at, le
 
 # -- one float per vertex ----------------------------------------------------------------------------------------------
 #
-# With so short a row there is nothing to load as one vector; instead every vector holds one corner of all levels, a
-# level to a lane, and the eight corners are mixed in seven operations whatever the number of levels.
+# Such short rows cannot be loaded as vectors; instead, every vector holds one corner of all levels, one level per lane,
+# and the eight corners are interpolated in seven operations for any number of levels.
 
 
 def _placed(context, builder, sig, layout, point, count):
@@ -325,7 +325,7 @@ def _placed(context, builder, sig, layout, point, count):
 
 
 def _corners(where, table) -> list:
-    """Values at the eight corners, each a vector over levels."""
+    """Return the values at the eight corners, each a vector over levels."""
     builder, lanes = where.builder, where.lanes
     found = [ir.Constant(lanes.type, ir.Undefined)] * 8
     for level in range(where.count):

@@ -1,7 +1,7 @@
-"""One row of a tile's pixels as one vector, in LLVM IR: a Gaussian is composited to it, or its gradients are summed.
+"""A row of a tile's pixels as one vector, in LLVM IR: composite a Gaussian to it, or sum its gradients.
 
-numba leaves these loops scalar, since they choose and call an exponential (measured on one thread, a view of 400x400
-pixels and 300,000 Gaussians: 285 ms against 80, 700 against 150 for the gradients).
+numba does not vectorize these loops, because they branch and call an exponential (one thread, a view of 400x400 pixels
+and 300,000 Gaussians: 285 ms scalar, 80 ms vectorized; 700 and 150 ms for the gradients).
 """
 
 from llvmlite import ir
@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 
 from stylerf.kernels.cpu.simd_vm import INDEX, SCALAR, Rows, data_pointer
 
-TILE = 8  # pixels; a row of them is one vector
+TILE = 8  # pixels; one row is one vector
 PIXELS = TILE * TILE
 LARGEST_ALPHA = 0.99
 SMALLEST_ALPHA = 1 / 255
@@ -19,7 +19,7 @@ PAIR = 9  # sums over pixels: of dL/d(power) and its moments x, y, xx, xy, yy; d
 
 
 class _Row:
-    """Arithmetic of vectors of TILE floats."""
+    """Arithmetic on vectors of TILE floats."""
 
     def __init__(self, builder: ir.IRBuilder) -> None:
         self.rows = Rows(builder, TILE)
@@ -32,7 +32,7 @@ class _Row:
         return self.builder.select(self.builder.fcmp_ordered("<", a, b), a, b)
 
     def exponential(self, x):
-        """exp(x) for -9 <= x <= 0, within 4e-6 of its value; below, exp(-9): exp(x / 16) by its series, squared."""
+        """exp(x) for -9 <= x <= 0, to within 4e-6; exp(-9) below. Series of exp(x / 16), repeatedly squared."""
         least = self.constant(-9.0)
         x = self.builder.select(self.builder.fcmp_ordered("<", x, least), least, x)
         y = self.rows.mul(x, self.constant(1 / 16))
@@ -44,7 +44,7 @@ class _Row:
         return e
 
     def alpha(self, mx, constant, slope, half_a, opacity):
-        """dx [TILE], alpha before it is held at its largest, and after."""
+        """Return dx [TILE], and alpha before and after clamping to its maximum."""
         rows = self.rows
         lanes = ir.Constant(rows.type, [float(lane) for lane in range(TILE)])
         dx = rows.sub(lanes, rows.splat(mx))
@@ -55,7 +55,7 @@ class _Row:
         return dx, whole, self.smaller(whole, self.constant(LARGEST_ALPHA))
 
     def weight(self, alpha, left):
-        """Weight of the Gaussian: left * alpha, or 0 where alpha or what is left is too small."""
+        """Return the Gaussian's weight: left * alpha, or 0 where alpha or the transmittance `left` is too small."""
         b = self.builder
         counts = b.and_(
             b.fcmp_ordered(">=", alpha, self.constant(SMALLEST_ALPHA)),
@@ -89,7 +89,7 @@ def blend_row(typing, planes, at, mx, constant, slope, half_a, opacity, red, gre
 
 @intrinsic
 def blend_row_backward(typing, planes, at, dy, mx, constant, slope, half_a, opacity, red, green, blue):
-    """Add a Gaussian's gradients on the row at `at` to the sums [PAIR, TILE] after planes [6, PIXELS] (flat).
+    """Add a Gaussian's gradients for the row at `at` to the sums [PAIR, TILE] after planes [6, PIXELS] (flat).
 
     The planes: dL/d(red, green, blue, alpha), transmittance, and the sum of w D behind it, D = g . (color, 1).
     """
@@ -125,7 +125,7 @@ def blend_row_backward(typing, planes, at, dy, mx, constant, slope, half_a, opac
 
 @intrinsic
 def row_total(typing, planes, at):
-    """Sum of the TILE floats at `at`."""
+    """Return the sum of the TILE floats at `at`."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, TILE)

@@ -1,12 +1,12 @@
 """Vector-width building blocks of the vm encoder, written in LLVM IR.
 
-A vm sample touches, per plane, four rows of `rank` floats and, per line, two. numba's own loops over so few ranks spend
-most of their time in alias checks and loop prologues (measured: 141 ns against 85 a sample for the backward at rank 8,
-233 against 156 at rank 16), so these intrinsics load and store whole rows as one vector. The rank is a compile-time
+A vm sample touches four rows of `rank` floats per plane and two per line. numba's own loops over so few ranks spend
+most of their time in alias checks and loop prologues (141 instead of 85 ns per sample for the backward at rank 8, 233
+instead of 156 at rank 16), so these intrinsics load and store whole rows as vectors. The rank is a compile-time
 constant: the length of the tuple `ranks`.
 
-Where multiplications and additions are fused, and in which order rows are summed, is written here rather than left
-to the compiler (decision 0007).
+Fusion of multiplications and additions, and the order of sums over rows, are explicit here rather than left to the
+compiler (decision 0007).
 """
 
 from llvmlite import ir
@@ -16,7 +16,7 @@ from numba.extending import intrinsic
 
 FLOAT = ir.FloatType()
 INT32 = ir.IntType(32)
-LINE = 16  # floats of a cache line
+LINE = 16  # floats per cache line
 
 
 class Rows:
@@ -29,7 +29,7 @@ class Rows:
         return self.builder.bitcast(self.builder.gep(pointer, [offset]), self.type.as_pointer())
 
     def load(self, pointer, offset):
-        # Rows start at any float: with a vector's default alignment LLVM may emit loads that fault.
+        # Rows may start at any float: with a vector's default alignment, LLVM may emit loads that fault.
         row = self.builder.load(self._address(pointer, offset))
         row.align = 4
         return row
@@ -38,7 +38,7 @@ class Rows:
         self.store(pointer, offset, self.add(self.load(pointer, offset), row))
 
     def add_product(self, pointer, offset, a, b) -> None:
-        """Add a * b, rounded once, to what is stored."""
+        """Add a * b to the stored row, fused (rounded once)."""
         self.store(pointer, offset, self.fused(a, b, self.load(pointer, offset)))
 
     def store(self, pointer, offset, row) -> None:
@@ -61,7 +61,7 @@ class Rows:
         return self.builder.fsub(a, b)
 
     def fused(self, a, b, c):
-        """a * b + c, rounded once."""
+        """Return a * b + c, fused (rounded once)."""
         name = f"llvm.fma.v{self.rank}f32"
         function = cgutils.get_or_insert_function(
             self.builder.module, ir.FunctionType(self.type, [self.type] * 3), name
@@ -69,9 +69,9 @@ class Rows:
         return self.builder.call(function, [a, b, c])
 
     def total(self, row):
-        """Sum of a row's elements: halves are added until their length is odd."""
+        """Return the sum of a row's elements; halves are added until their length is odd."""
         count, b = self.rank, self.builder
-        # Halves shorten the chain of dependent additions. The order is part of the result's bits (decision 0007).
+        # Adding halves shortens the dependency chain. The order affects the bits of the result (decision 0007).
         while count % 2 == 0:
             count //= 2
             low, high = (
@@ -86,7 +86,7 @@ class Rows:
         return total
 
     def mix(self, weights, rows):
-        """Sum of rows, each times a scalar."""
+        """Return the sum of rows, each times a scalar."""
         result = self.mul(self.splat(weights[0]), rows[0])
         for weight, row in zip(weights[1:], rows[1:]):
             result = self.fused(self.splat(weight), row, result)
@@ -94,7 +94,7 @@ class Rows:
 
 
 def data_pointer(context, builder, array_type, value):
-    """Pointer to the first element of an array argument."""
+    """Return a pointer to the first element of an array argument."""
     return context.make_array(array_type)(context, builder, value=value).data
 
 
@@ -107,7 +107,7 @@ def _weights(rows, fu, fv, fw):
 class _Product:
     """One sample in one plane and its line: P = bilinear plane row, L = linear line row.
 
-    The rows lie in one flat table: the plane's at `first` and `second` (each with its right neighbor), the line's at
+    The rows are in one flat table: the plane's at `first` and `second` (each with its right neighbor), the line's at
     `line` and the one after it.
     """
 
@@ -136,7 +136,7 @@ _PLACE = (INDEX, INDEX, INDEX, SCALAR, SCALAR, SCALAR)  # first, second, line, f
 
 
 def _products(context, builder, rows, table, places):
-    """One sample's three _Products. places: tuples of first, second, line, fu, fv, fw."""
+    """Return one sample's three _Products. places: tuples of first, second, line, fu, fv, fw."""
     return [_Product(rows, table, *cgutils.unpack_tuple(builder, place)) for place in places]
 
 
@@ -145,7 +145,7 @@ def prefetch(builder, pointer, offset) -> None:
     byte = ir.IntType(8).as_pointer()
     kind = ir.FunctionType(ir.VoidType(), [byte, INT32, INT32, INT32])
     function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-    hints = [ir.Constant(INT32, hint) for hint in (0, 3, 1)]  # for reading, into the nearest cache, data
+    hints = [ir.Constant(INT32, hint) for hint in (0, 3, 1)]  # read access, nearest cache level, data
     builder.call(function, [builder.bitcast(builder.gep(pointer, [offset]), byte), *hints])
 
 
@@ -158,7 +158,7 @@ def vm_prefetch(typing, table, at, place0, place1, place2, ranks):
         table_at = builder.gep(data_pointer(context, builder, sig.args[0], args[0]), [args[1]])
         for place in args[2:5]:
             for begin in cgutils.unpack_tuple(builder, place)[:3]:
-                # Rows are not aligned to lines: their last float can lie in one more.
+                # Rows are not aligned to cache lines: their last float can be in one more.
                 for step in (*range(0, length - 1, LINE), length - 1):
                     prefetch(builder, table_at, builder.add(begin, ir.Constant(begin.type, step)))
         return context.get_dummy_value()
@@ -197,13 +197,13 @@ def vm_features(typing, table, first, second, line, fu, fv, fw, out, at, ranks):
 
 
 def _head(rows, heads, j, m):
-    """heads[(3 j + m) rank :]: the weights of output j for the features of plane m."""
+    """Return heads[(3 j + m) rank :], the weights of output j for the features of plane m."""
     return rows.load(heads, ir.Constant(ir.IntType(64), (3 * j + m) * rows.rank))
 
 
 @intrinsic
 def vm_projected(typing, table, place0, place1, place2, heads, out, ranks):
-    """out[j] = sum_m sum_r heads[(3 j + m) rank + r] P_mr L_mr for j = 0, 1, 2; places as vm_sum's."""
+    """out[j] = sum_m sum_r heads[(3 j + m) rank + r] P_mr L_mr for j = 0, 1, 2; places as in vm_sum."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
@@ -260,7 +260,7 @@ def vm_dot_backward(typing, table, first, second, line, fu, fv, fw, gradient, bu
 
 @intrinsic
 def vm_features_backward(typing, table, first, second, line, fu, fv, fw, gradients, row, buffer, at, ranks):
-    """As vm_dot_backward, with a separate gradient, gradients[row + r], for every rank."""
+    """vm_dot_backward with a separate gradient, gradients[row + r], for every rank."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)
@@ -273,7 +273,7 @@ def vm_features_backward(typing, table, first, second, line, fu, fv, fw, gradien
 
 
 def _slopes(product, table, fu, fv):
-    """Rows of d(P L) / d(fu, fv, fw)."""
+    """Return the rows of d(P L) / d(fu, fv, fw)."""
     rows, one = product.rows, ir.Constant(FLOAT, 1.0)
     corners = [rows.load(table, o) for o in product.corners]
     ends = [rows.load(table, o) for o in product.ends]
@@ -300,7 +300,7 @@ def vm_slopes(typing, table, first, second, line, fu, fv, fw, out, ranks):
 
 @intrinsic
 def vm_features_slopes(typing, table, first, second, line, fu, fv, fw, gradients, row, out, ranks):
-    """As vm_slopes, of sum_r gradients[row + r] P_r L_r."""
+    """vm_slopes for sum_r gradients[row + r] P_r L_r."""
 
     def generate(context, builder, sig, args):
         rows = Rows(builder, sig.args[-1].count)

@@ -1,4 +1,4 @@
-"""A voxel grid's gather and scatter of whole rows, in LLVM IR: the eight vertices around a point by their offsets."""
+"""Gather and scatter of a voxel grid's rows, in LLVM IR: the eight vertices around a point, given by their offsets."""
 
 from llvmlite import ir
 from numba import types
@@ -9,7 +9,7 @@ from stylerf.kernels.cpu.simd_vm import INDEX, INT32, SCALAR, Rows, data_pointer
 
 
 def _rows_at(rows, table, offsets):
-    """Rows of the eight vertices; offsets: pointer to eight int64, x slowest, z fastest."""
+    """Return the rows of the eight vertices; offsets: pointer to eight int64, x slowest, z fastest."""
     builder = rows.builder
     places = [builder.load(builder.gep(offsets, [ir.Constant(INT32, corner)])) for corner in range(8)]
     return places, [rows.load(table, place) for place in places]

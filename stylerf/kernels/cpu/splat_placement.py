@@ -1,4 +1,4 @@
-"""Surface points drawn from the samples of rays."""
+"""Draw surface points from the samples of rays."""
 
 import numpy as np
 from numba import prange
@@ -10,14 +10,14 @@ _ZERO, _ONE = np.float32(0), np.float32(1)
 
 @parallel_kernel
 def draw_samples(samples, draws, reach, threads, chosen, opacities):
-    """Draw one sample of each ray by its weight, and none with the probability that the ray passes.
+    """Draw one sample per ray with a probability equal to its weight, or none with the remaining probability.
 
     Args:
         samples: of marched rays.
         draws: [rays], uniform in 0..1.
-        reach: half the thickness of a surface, as a part of its distance.
-        chosen: [rays] int64, written: the sample, -1 for none.
-        opacities: [rays], written: the part of the light at the front of the surface that it absorbs.
+        reach: half the thickness of a surface, relative to its distance.
+        chosen: output, [rays] int64: the sample, -1 for none.
+        opacities: output, [rays]: the fraction of the light arriving at the surface that it absorbs.
     """
     starts, ends, t, weights = samples.starts, samples.ends, samples.t, samples.weights
     n = len(ends)

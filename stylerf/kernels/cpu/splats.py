@@ -1,16 +1,16 @@
-"""Splatting of anisotropic 3D Gaussians to tiles of pixels, and back (Zwicker et al. 2001; Kerbl et al. 2023).
+"""Tile-based splatting of anisotropic 3D Gaussians, and its backward pass (Zwicker et al. 2001; Kerbl et al. 2023).
 
-A Gaussian of center m, scales s and rotation R has the covariance R diag(s)^2 R^T. In a camera with rotation W its
-image is a Gaussian of the covariance
+A Gaussian with center m, scales s and rotation R has covariance R diag(s)^2 R^T. In a camera with rotation W, its
+image is a Gaussian with covariance
 
     C = J W R diag(s)^2 R^T W^T J^T + BLUR I,   J the Jacobian of the projection at m
 
-and its opacity at a pixel d away from its center is alpha = o exp(-d^T C^-1 d / 2), at most LARGEST_ALPHA; below
-SMALLEST_ALPHA it is left out. Pixels are composited front to back, by the depth of the centers, until less than
-LEAST_TRANSMITTANCE is left.
+and its opacity at an offset d from its center is alpha = o exp(-d^T C^-1 d / 2), clamped to LARGEST_ALPHA; below
+SMALLEST_ALPHA it is skipped. Pixels are composited front to back, by the depth of the centers, until the transmittance
+is below LEAST_TRANSMITTANCE.
 
-Tiles are as wide as a vector. Pairs of tiles and Gaussians keep their gradients apart, and each Gaussian sums its own
-in the order of tiles: results do not depend on the number of threads.
+Tiles are as wide as a vector. Each pair of a tile and a Gaussian has its own gradients, which are summed per Gaussian
+in tile order, so results do not depend on the number of threads.
 """
 
 import math
@@ -38,7 +38,7 @@ class Gaussians(NamedTuple):
     Attributes:
         centers: [n, 3], scene units.
         log_scales: [n, 3], natural logarithms of the standard deviations, scene units.
-        quaternions: [n, 4], w x y z, of any length but 0: rotation of the axes that the scales belong to.
+        quaternions: [n, 4], w x y z, of any nonzero length: rotation of the axes that the scales refer to.
         logits: [n], of the opacity.
         harmonics: [n, bands, 3]: color = max(0, 1/2 + sum_b Y_b(d) harmonics_b), sRGB-encoded.
     """
@@ -51,13 +51,13 @@ class Gaussians(NamedTuple):
 
 
 class SplatCamera(NamedTuple):
-    """A camera as the kernels read it.
+    """A camera in the kernels' format.
 
     Attributes:
-        pose: [12] float32, camera_from_world: rotation by rows, translation.
+        pose: [12] float32, camera_from_world: rotation (row-major), translation.
         numbers: [7] float32: fx, fy, cx, cy, pixels; the camera's center, scene units.
         width, height: pixels.
-        near: least depth of a Gaussian's center, scene units.
+        near: minimum depth of a Gaussian's center, scene units.
     """
 
     pose: np.ndarray
@@ -67,9 +67,9 @@ class SplatCamera(NamedTuple):
     near: np.float32
 
 
-BLUR = np.float32(0.3)  # pixels^2: no image is narrower than a pixel
-BEYOND = np.float32(0.15)  # of an image's side: J is taken no farther outside of it, where it would explode
-SCREEN = 10  # numbers of a projected Gaussian: x, y, inverse covariance xx, xy, yy, opacity, red, green, blue, -
+BLUR = np.float32(0.3)  # pixels^2: no projected Gaussian is narrower than a pixel
+BEYOND = np.float32(0.15)  # of the image's side: J is clamped this far outside the image, where it would explode
+SCREEN = 10  # values of a projected Gaussian: x, y, inverse covariance xx, xy, yy, opacity, red, green, blue, -
 _LEAST_ALPHA, _LEAST_LEFT = np.float32(SMALLEST_ALPHA), np.float32(LEAST_TRANSMITTANCE)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 _C0, _C1 = np.float32(0.28209479177387814), np.float32(0.4886025119029199)
@@ -78,7 +78,7 @@ _C2A, _C2B, _C2C = np.float32(1.0925484305920792), np.float32(0.3153915652525200
 
 @inline
 def _rotation(q):
-    """The 3x3 rotation of a unit quaternion (w, x, y, z), by rows."""
+    """Return the 3x3 rotation of a unit quaternion (w, x, y, z), row-major."""
     w, x, y, z = q
     return (
         _ONE - _TWO * (y * y + z * z), _TWO * (x * y - w * z), _TWO * (x * z + w * y),
@@ -97,7 +97,7 @@ def _unit(quaternions, i):
 
 @inline
 def _basis(x, y, z):
-    """Spherical harmonics up to degree 2, as geometry/spherical_harmonics.py orders them."""
+    """Return spherical harmonics up to degree 2, in the order of geometry/spherical_harmonics.py."""
     return (
         _C0, -_C1 * y, _C1 * z, -_C1 * x, _C2A * x * y, -_C2A * y * z, _C2B * (np.float32(3) * z * z - _ONE),
         -_C2A * x * z, _C2C * (x * x - y * y),
@@ -106,7 +106,7 @@ def _basis(x, y, z):
 
 @inline
 def _in_camera(centers, i, pose):
-    """Position in the camera; pose [12]: camera_from_world, rotation by rows, then translation."""
+    """Return the position in camera space; pose [12]: camera_from_world, rotation (row-major), then translation."""
     x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
     return (
         pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
@@ -117,7 +117,7 @@ def _in_camera(centers, i, pose):
 
 @inline
 def _axes(log_scales, i, r, pose, j00, j02, j11, j12):
-    """J W R diag(s): the rows [3] of the image's axes, whose products are the covariance."""
+    """Return the rows [3] of J W R diag(s), whose inner products are the image covariance."""
     s0 = np.float32(math.exp(log_scales[i, 0]))
     s1 = np.float32(math.exp(log_scales[i, 1]))
     s2 = np.float32(math.exp(log_scales[i, 2]))
@@ -138,15 +138,15 @@ def _axes(log_scales, i, r, pose, j00, j02, j11, j12):
 
 @parallel_kernel
 def project(gaussians, camera, threads, screen, depths, boxes):
-    """Project Gaussians: their numbers on the screen, their depths, and the pixels that they reach.
+    """Project Gaussians: screen-space values, depths, and bounding boxes.
 
     Args:
         gaussians: see Gaussians.
         camera: see SplatCamera.
-        screen: [n, SCREEN], written.
-        depths: [n], written: along the viewing axis.
-        boxes: [n, 4] int32, written: first and last tile across, first and last row of pixels, each last one excluded;
-            all 0 for what is not seen.
+        screen: output, [n, SCREEN].
+        depths: output, [n]: along the viewing axis.
+        boxes: output, [n, 4] int32: first and last tile column, first and last pixel row, last ones exclusive; all 0 if
+            not visible.
     """
     centers, log_scales, quaternions = gaussians.centers, gaussians.log_scales, gaussians.quaternions
     logits, harmonics = gaussians.logits, gaussians.harmonics
@@ -176,7 +176,7 @@ def project(gaussians, camera, threads, screen, depths, boxes):
             cyy = b0 * b0 + b1 * b1 + b2 * b2 + BLUR
             determinant = cxx * cyy - cxy * cxy
             px, py = fx * x / z + cx, fy * y / z + cy
-            # alpha falls to its least where the exponent is -ln(o / _LEAST_ALPHA): the box of that ellipse.
+            # alpha falls to its minimum where the exponent is -ln(o / _LEAST_ALPHA): bounding box of that ellipse.
             reach = _TWO * np.float32(math.log(opacity / _LEAST_ALPHA))
             across, down = np.float32(math.sqrt(reach * cxx)), np.float32(math.sqrt(reach * cyy))
             if not (determinant > _ZERO and px + across > _ZERO and px - across < width):
@@ -204,9 +204,9 @@ def project(gaussians, camera, threads, screen, depths, boxes):
 
 @serial_kernel
 def sort_by_depth(depths, boxes, order, spare):
-    """Write the seen Gaussians to order[:count], nearest first; returns count. Ties keep their order.
+    """Write the visible Gaussians to order[:count], nearest first; return count. Stable.
 
-    Radix sort of the bits of positive float32 numbers, which order as the numbers do. order, spare: [n] int32.
+    Radix sort of the bits of positive float32 numbers, which sort like the numbers. order, spare: [n] int32.
     """
     count = 0
     for i in range(len(boxes)):
@@ -237,7 +237,7 @@ def sort_by_depth(depths, boxes, order, spare):
 
 @serial_kernel
 def count_pairs(boxes, order, count, tiles_across, tile_ends, first_pairs):
-    """Count the pairs of each tile to tile_ends [tiles + 1], and each seen Gaussian's to first_pairs [count + 1]."""
+    """Count pairs per tile, to tile_ends [tiles + 1], and per visible Gaussian, to first_pairs [count + 1]."""
     tile_ends[:] = 0
     total = 0
     for k in range(count):
@@ -255,9 +255,9 @@ def count_pairs(boxes, order, count, tiles_across, tile_ends, first_pairs):
 
 @serial_kernel
 def fill_pairs(boxes, order, count, tiles_across, tile_ends, members, places):
-    """List the Gaussians of each tile, nearest first, in members [pairs]; places [pairs]: where a Gaussian's pairs are.
+    """List the Gaussians of each tile, nearest first, in members [pairs]; places [pairs]: each pair's index in it.
 
-    tile_ends holds starts before; then tile t's members are at tile_ends[t - 1]:tile_ends[t], from 0.
+    On entry, tile_ends holds starts; afterwards, tile t's members are tile_ends[t - 1]:tile_ends[t], starting at 0.
     """
     pair = 0
     for k in range(count):
@@ -310,15 +310,15 @@ def blend(screen, boxes, tile_ends, members, tiles_across, threads, out):
 
 @parallel_kernel
 def blend_backward(screen, boxes, tile_ends, members, tiles_across, out, gradients, threads, sums):
-    """Write the sums of each pair: sums [pairs, PAIR], from out and dL/d(red, green, blue, alpha) [tiles, 4, PIXELS].
+    """Compute the sums of each pair, sums [pairs, PAIR], from out and dL/d(red, green, blue, alpha) [tiles, 4, PIXELS].
 
-    With D_k = g . (c_k, 1) of the k-th Gaussian of a pixel, g = dL/d(pixel) and weights w_k = T_k alpha_k:
+    With D_k = g . (c_k, 1) for the k-th Gaussian of a pixel, g = dL/d(pixel) and weights w_k = T_k alpha_k:
 
         dL/d(alpha_k) = T_k D_k - sum_{j>k} w_j D_j / (1 - alpha_k)
     """
     tiles = out.shape[0]
     for thread in prange(threads):
-        # Planes: 0-3 g, 4 transmittance, 5 what is behind; then PAIR vectors of sums.
+        # Planes: 0-3 g, 4 transmittance, 5 sum behind; then PAIR vectors of sums.
         s = np.empty(6 * PIXELS + PAIR * TILE, np.float32)
         acc = 6 * PIXELS
         for tile in range(thread, tiles, threads):
@@ -362,9 +362,9 @@ def blend_backward(screen, boxes, tile_ends, members, tiles_across, out, gradien
 
 @parallel_kernel
 def project_backward(gaussians, camera, screen, order, count, first_pairs, places, sums, threads, gradients):
-    """Turn the pairs' sums into gradients of the seen Gaussians; those of others stay as they are.
+    """Compute the gradients of visible Gaussians from the pairs' sums; those of others are unchanged.
 
-    gradients: as `gaussians`, overwritten.
+    gradients: output, in the format of `gaussians`.
     """
     centers, log_scales, quaternions = gaussians.centers, gaussians.log_scales, gaussians.quaternions
     harmonics = gaussians.harmonics
@@ -440,7 +440,7 @@ def project_backward(gaussians, camera, screen, order, count, first_pairs, place
             to_j02 = d00 * pose[6] + d01 * pose[7] + d02 * pose[8]
             to_j11 = d10 * pose[3] + d11 * pose[4] + d12 * pose[5]
             to_j12 = d10 * pose[6] + d11 * pose[7] + d12 * pose[8]
-            # Outside of the limits J stays, and only the center moves on.
+            # Outside the limits, J is constant and only the center moves.
             at_u = at_x * fx - (to_j02 * fx / z if raw_u == u else _ZERO)
             at_v = at_y * fy - (to_j12 * fy / z if raw_v == v else _ZERO)
             px, py = at_u / z, at_v / z
@@ -449,7 +449,7 @@ def project_backward(gaussians, camera, screen, order, count, first_pairs, place
             mx = pose[0] * px + pose[3] * py + pose[6] * pz
             my = pose[1] * px + pose[4] * py + pose[7] * pz
             mz = pose[2] * px + pose[5] * py + pose[8] * pz
-            # Colors at 0 are held there.
+            # Colors clamped at 0 have no gradient.
             red = red if screen[i, 6] > _ZERO else _ZERO
             green = green if screen[i, 7] > _ZERO else _ZERO
             blue = blue if screen[i, 8] > _ZERO else _ZERO
@@ -460,5 +460,5 @@ def project_backward(gaussians, camera, screen, order, count, first_pairs, place
                 to_harmonics[i, band, 0] = basis[band] * red
                 to_harmonics[i, band, 1] = basis[band] * green
                 to_harmonics[i, band, 2] = basis[band] * blue
-            # That colors turn with the center is left out: scales are far below distances.
+            # The change of view direction with the center is neglected: scales are much smaller than distances.
             to_centers[i, 0], to_centers[i, 1], to_centers[i, 2] = mx, my, mz

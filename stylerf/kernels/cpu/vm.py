@@ -2,7 +2,7 @@
 
 A table is one flat float32 array: for m = 0, 1, 2 a plane [size[a], size[b], rank] over axes a = (m+1)%3, b = (m+2)%3,
 then for m = 0, 1, 2 a line [size[m], rank] over axis m. A sample's feature m, r is bilinear(plane m, r) * linear(line
-m, r). Raw density is exp(shift + sum of all features), the exponent clamped to [-15, 12].
+m, r). Raw density is exp(shift + sum of all features), with the exponent clamped to [-15, 12].
 """
 
 import math
@@ -32,12 +32,12 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 @inline
 def place(m, x, size, rank):
-    """Row offsets in the table and cell positions of point x for plane m."""
+    """Return row offsets in the table and cell positions of point x for plane m."""
     a, b = (m + 1) % 3, (m + 2) % 3
     iu, fu = cell(x[a], size[a])
     iv, fv = cell(x[b], size[b])
     iw, fw = cell(x[m], size[m])
-    # All planes are stored first, then the lines.
+    # All planes are stored before the lines.
     at = np.int64(0)
     for before in range(m):
         at += size[(before + 1) % 3] * size[(before + 2) % 3]
@@ -50,26 +50,26 @@ def place(m, x, size, rank):
 
 @inline
 def places(x, size, rank):
-    """place() of all three planes."""
+    """Return place() for all three planes."""
     return place(0, x, size, rank), place(1, x, size, rank), place(2, x, size, rank)
 
 
 @inline
 def raw_density(density, ranks, x):
-    """exp(shift + features) of one warped point."""
+    """Return exp(shift + features) at one warped point."""
     total = density.shift + vm_sum(density.table, *places(x, density.layout, np.int64(len(ranks))), ranks)
     return np.float32(math.exp(min(max(total, EXPONENT_MIN), EXPONENT_MAX)))
 
 
 @inline
 def prefetch(density, ranks, x):
-    """Prefetch the rows of one warped point."""
+    """Prefetch the rows for one warped point."""
     vm_prefetch(density.table, np.int64(0), *places(x, density.layout, np.int64(len(ranks))), ranks)
 
 
 @parallel_kernel
 def density_at(density, ranks, x, threads, sigma):
-    """sigma [n]: raw density of warped points x [n, 3]."""
+    """sigma [n] = raw density at warped points x [n, 3]."""
     n = len(x)
     for thread in prange(threads):
         for p in range(thread * n // threads, (thread + 1) * n // threads):
@@ -80,8 +80,8 @@ def density_at(density, ranks, x, threads, sigma):
 def march_density(density, ranks, rays, space, occupancy, displacement, settings, threads, samples):
     """March rays through a vm density; see march.march_partition.
 
-    Each density has this kernel, and no factory makes it: numba keys the cache of a closure over other compiled
-    functions by ids that differ in every process, so that each run would compile it again.
+    Every density has its own copy of this kernel instead of a factory: numba keys the cache of a closure over other
+    compiled functions by ids that differ between processes, so every run would recompile it.
     """
     for thread in prange(threads):
         march_partition(
@@ -92,7 +92,7 @@ def march_density(density, ranks, rays, space, occupancy, displacement, settings
 
 @parallel_kernel
 def density_backward(density, ranks, samples, sigma_gradients, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    """Add dL/d(table) and, after the table's last element, dL/d(shift) to the thread's buffer to[thread]."""
     table, size = density.table, density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -104,12 +104,12 @@ def density_backward(density, ranks, samples, sigma_gradients, to):
         shift_gradient = _ZERO
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
+                g = sigma_gradients[k] * sigma[k]  # exp'(e) = exp(e), even beyond the clamp, or e could not return
                 if g != _ZERO:
                     shift_gradient += g
                     if k + 1 < stop:
                         following = places(x[k + 1], size, np.int64(len(ranks)))
-                        # Both are read and scattered to at the same offsets: the table and the thread's gradients.
+                        # The table and the thread's gradients are accessed at the same offsets.
                         vm_prefetch(table, np.int64(0), *following, ranks)
                         vm_prefetch(flat, base, *following, ranks)
                     for m in range(3):
@@ -120,7 +120,7 @@ def density_backward(density, ranks, samples, sigma_gradients, to):
 
 @parallel_kernel
 def density_position_gradient(density, ranks, samples, sigma_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3] of a vm density; the slope is that of the cell a sample lies in."""
+    """Add dL/dx [n, 3] of a vm density; the slope is that of the cell that contains the sample."""
     table, size = density.table, density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -134,14 +134,14 @@ def density_position_gradient(density, ranks, samples, sigma_gradients, threads,
                         first, second, line, fu, fv, fw = place(m, x[k], size, np.int64(len(ranks)))
                         vm_slopes(table, first, second, line, fu, fv, fw, slopes, ranks)
                         for axis in range(3):
-                            # Plane m's u, v, w are axes m + 1, m + 2, m; slopes are per cell, size - 1 of them.
+                            # Plane m's u, v, w are axes m + 1, m + 2, m; slopes are per cell, with size - 1 cells.
                             along = (m + 1 + axis) % 3
                             position_gradients[k, along] += g * slopes[axis] * np.float32(size[along] - 1)
 
 
 @parallel_kernel
 def color(parameters, ranks, points, basis, threads, out):
-    """Colors of points with a positive weight: sigmoid(sum_b basis_b (head_b . features) + bias); else -1 in channel 0.
+    """Color points with positive weight: sigmoid(sum_b basis_b (head_b . features) + bias); others: -1 in channel 0.
 
     parameters: LinearColor. basis [rays, bands]: spherical harmonics of the ray directions. out [n, 3].
     """
@@ -162,7 +162,7 @@ def color(parameters, ranks, points, basis, threads, out):
                     continue
                 if k + 1 < stop and weights[k + 1] > _ZERO:
                     vm_prefetch(table, np.int64(0), *places(x[k + 1], size, rank), ranks)
-                # Head times direction, once per ray and only if the ray has a sample to color.
+                # Head for the direction, once per ray and only if the ray has a sample to color.
                 if not ready:
                     head_of(head, basis, r, width, ray_head)
                     ready = True
@@ -173,9 +173,9 @@ def color(parameters, ranks, points, basis, threads, out):
 
 @parallel_kernel
 def color_backward(parameters, ranks, points, basis, colors, color_gradients, to):
-    """Add dL/d(table), then dL/d(head), then dL/d(bias) to the thread's buffer to[thread] of that layout.
+    """Add dL/d(table), dL/d(head) and dL/d(bias) to the thread's buffer to[thread], which has that layout.
 
-    colors, color_gradients [n, 3]: the forward's result and dL/dc; points with colors[k, 0] < 0 are skipped.
+    colors, color_gradients [n, 3]: the forward pass's result and dL/dc; points with colors[k, 0] < 0 are skipped.
     """
     table, size, head = parameters.table, parameters.size, parameters.head
     starts, ends, x = points.starts, points.ends, points.x
@@ -213,7 +213,7 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
             if ready:
                 for j in range(3):
                     for b in range(bands):
-                        # The ray's head is sum_b Y_b head_b: its gradient reaches band b times Y_b.
+                        # The ray's head is sum_b Y_b head_b, so band b gets its gradient times Y_b.
                         w = basis[r, b]
                         for m in range(3):
                             axpy_row(
@@ -228,7 +228,7 @@ def color_backward(parameters, ranks, points, basis, colors, color_gradients, to
 
 @parallel_kernel
 def color_position_gradient(parameters, ranks, points, basis, colors, color_gradients, threads, position_gradients):
-    """Add dL/dx [n, 3] of vm colors; parameters, basis, colors as in color. Points without a color add nothing."""
+    """Add dL/dx [n, 3] of vm colors; parameters, basis, colors as in color(). Uncolored points are skipped."""
     table, size, head = parameters.table, parameters.size, parameters.head
     starts, ends, x = points.starts, points.ends, points.x
     n = len(ends)
@@ -260,17 +260,17 @@ def color_position_gradient(parameters, ranks, points, basis, colors, color_grad
 
 @parallel_kernel
 def smoothness_backward(table, size, ranks, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighboring plane texels to to[...]."""
+    """Add strength * d/dt of half the sum of squared differences between neighboring plane texels to to[...]."""
     rank = np.int64(len(ranks))
     at = np.int64(0)
     for m in range(3):
         rows, columns = size[(m + 1) % 3], size[(m + 2) % 3]
         across = columns * rank
-        # As in hash_grid.py, a texel writes its own gradient only: threads share the one buffer without a race.
+        # As in hash_grid.py, a texel writes only its own gradient, so threads share one buffer without races.
         for i in prange(rows):
             for j in range(columns):
                 here = at + (i * columns + j) * rank
-                # Beyond an edge the texel stands in for its missing neighbor: their difference is zero.
+                # At an edge, the texel replaces its missing neighbor: their difference is zero.
                 above = here - across if i > 0 else here
                 below = here + across if i < rows - 1 else here
                 left = here - rank if j > 0 else here
@@ -279,12 +279,12 @@ def smoothness_backward(table, size, ranks, strength, to):
         at += rows * across
 
 
-# -- features of chosen samples, for a color head ----------------------------------------------------------------------
+# -- features of selected samples, for a color head --------------------------------------------------------------------
 
 
 @parallel_kernel
 def features(table, size, ranks, x, index, threads, out):
-    """out [m, 3 rank] of samples x[index[i]] in 0..1."""
+    """out [m, 3 rank] for samples x[index[i]] in 0..1."""
     n, width = out.shape
     rank = np.int64(len(ranks))
     flat = out.reshape(-1)
@@ -312,7 +312,7 @@ def features_backward(table, size, ranks, x, index, gradients, threads, to):
 
 @parallel_kernel
 def features_position_gradient(table, size, ranks, x, index, gradients, threads, position_gradients):
-    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    """Add dL/dx of the selected samples to position_gradients [n, 3]."""
     n, width = gradients.shape
     rank = np.int64(len(ranks))
     flat = gradients.reshape(-1)

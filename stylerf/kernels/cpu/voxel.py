@@ -1,9 +1,9 @@
 """A sparse voxel grid, interpolated trilinearly (ARF; Plenoxels, Fridovich-Keil et al. 2022).
 
-Vertices are allocated in blocks of 4 x 4 x 4, with a row of numbers each. links: int32, the grid's vertices per axis
-(3), its blocks per axis (3), then each block's number in the table (x slowest); all blocks that are not allocated share
-block 0. A row lies at ((link * 4 + i % 4) * 4 + j % 4) * 4 + k % 4. Raw density is exp(shift + interpolated value), the
-exponent clamped to [-15, 12].
+Vertices are allocated in blocks of 4 x 4 x 4, with one row of numbers each. links: int32, the grid's vertices per axis
+(3), its blocks per axis (3), then each block's index in the table (x slowest); all blocks that are not allocated share
+block 0. A row's index is ((link * 4 + i % 4) * 4 + j % 4) * 4 + k % 4. Raw density is exp(shift + interpolated value),
+with the exponent clamped to [-15, 12].
 """
 
 import math
@@ -27,7 +27,7 @@ def row_of(links, i, j, k):
 
 @inline
 def corners(links, x, width, offsets):
-    """Write the offsets of the eight vertices around x in the table; return x's position in their cell."""
+    """Write the table offsets of the eight vertices around x; return x's position in their cell."""
     i, fx = cell(x[0], np.int64(links[0]))
     j, fy = cell(x[1], np.int64(links[1]))
     k, fz = cell(x[2], np.int64(links[2]))
@@ -38,7 +38,7 @@ def corners(links, x, width, offsets):
 
 @inline
 def raw_density(density, widths, x):
-    """exp(shift + interpolated value) of one warped point."""
+    """Return exp(shift + interpolated value) at one warped point."""
     table, links = density.table, density.layout
     i, fx = cell(x[0], np.int64(links[0]))
     j, fy = cell(x[1], np.int64(links[1]))
@@ -53,7 +53,7 @@ def raw_density(density, widths, x):
 
 @parallel_kernel
 def density_at(density, widths, x, threads, sigma):
-    """sigma [n]: raw density of warped points x [n, 3]."""
+    """sigma [n] = raw density at warped points x [n, 3]."""
     n = len(x)
     for thread in prange(threads):
         for p in range(thread * n // threads, (thread + 1) * n // threads):
@@ -72,7 +72,7 @@ def march_density(density, widths, rays, space, occupancy, displacement, setting
 
 @parallel_kernel
 def density_backward(density, widths, samples, sigma_gradients, to):
-    """Add dL/d(table) and, behind the table's last element, dL/d(shift) to the thread's own buffer to[thread]."""
+    """Add dL/d(table) and, after the table's last element, dL/d(shift) to the thread's buffer to[thread]."""
     links = density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -83,18 +83,18 @@ def density_backward(density, widths, samples, sigma_gradients, to):
         offsets, g = np.empty(8, np.int64), np.empty(1, np.float32)
         for r in range(thread * n // threads, (thread + 1) * n // threads):
             for k in range(starts[r], ends[r]):
-                g[0] = sigma_gradients[k] * sigma[k]  # d exp(e)/de = exp(e), past the clamp too, or e could not return
+                g[0] = sigma_gradients[k] * sigma[k]  # exp'(e) = exp(e), even beyond the clamp, or e could not return
                 if g[0] != _ZERO:
                     shift_gradient += g[0]
                     fx, fy, fz = corners(links, x[k], np.int64(1), offsets)
                     voxel_row_backward(flat, np.int64(thread * stride), offsets, fx, fy, fz, g, np.int64(0), widths)
-        to[thread, :64] = 0  # block 0, shared by all that is not allocated, never learns
+        to[thread, :64] = 0  # block 0, shared by all unallocated blocks, never learns
         to[thread, stride - 1] += shift_gradient
 
 
 @parallel_kernel
 def density_position_gradient(density, widths, samples, sigma_gradients, threads, position_gradients):
-    """Add dL/dx to position_gradients [n, 3]; the slope is that of the cell a sample lies in."""
+    """Add dL/dx to position_gradients [n, 3]; the slope is that of the cell that contains the sample."""
     table, links = density.table, density.layout
     starts, ends, x, sigma = samples.starts, samples.ends, samples.x, samples.sigma
     n = len(ends)
@@ -110,12 +110,12 @@ def density_position_gradient(density, widths, samples, sigma_gradients, threads
                         position_gradients[k, a] += slopes[a] * np.float32(links[a] - 1)
 
 
-# -- rows as features of chosen samples -------------------------------------------------------------------------------
+# -- rows as features of selected samples -----------------------------------------------------------------------------
 
 
 @parallel_kernel
 def features(table, links, widths, x, index, threads, out):
-    """out [m, width]: the rows interpolated at samples x[index[i]]."""
+    """out [m, width]: rows interpolated at samples x[index[i]]."""
     n, width = out.shape
     flat = out.reshape(-1)
     for thread in prange(threads):
@@ -142,7 +142,7 @@ def features_backward(table, links, widths, x, index, gradients, threads, to):
 
 @parallel_kernel
 def features_position_gradient(table, links, widths, x, index, gradients, threads, position_gradients):
-    """Add dL/dx of the chosen samples to position_gradients [n, 3]."""
+    """Add dL/dx of the selected samples to position_gradients [n, 3]."""
     n, width = gradients.shape
     flat = gradients.reshape(-1)
     for thread in prange(threads):
@@ -157,14 +157,14 @@ def features_position_gradient(table, links, widths, x, index, gradients, thread
 
 @parallel_kernel
 def smoothness_backward(table, links, width, strength, to):
-    """Add strength * d/dt of half the summed squared differences between neighboring allocated vertices."""
+    """Add strength * d/dt of half the sum of squared differences between neighboring allocated vertices."""
     size = links[:3].astype(np.int64)
-    # A vertex writes its own gradient only: threads share the one buffer without a race.
+    # A vertex writes only its own gradient, so threads share one buffer without races.
     for i in prange(size[0]):
         for j in range(size[1]):
             for k in range(size[2]):
                 here = row_of(links, i, j, k)
-                if here < 64:  # block 0, which never learns
+                if here < 64:  # block 0 never learns
                     continue
                 for axis in range(3):
                     for way in (-1, 1):

@@ -1,1 +1,1 @@
-"""What every training loop shares."""
+"""Shared by all training loops."""

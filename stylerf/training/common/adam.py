@@ -11,17 +11,17 @@ from stylerf.kernels.cpu.adam import AdamRates, AdamState, adam
 if TYPE_CHECKING:
     from torch import Tensor
 
-# As instant-ngp: means over thousands of rays leave a table row with tiny gradients, which a larger epsilon would damp.
+# As in Instant-NGP: averaged over thousands of rays, a table row's gradient is tiny; a larger epsilon would damp it.
 BETA1, BETA2, EPSILON = 0.9, 0.99, 1e-15
-NORM_STEPS = 10  # steps after which the running norm of the gradients is known well enough to clip at it
-SMOOTH_EVERY = 8  # steps between total variation gradients: they cost a third of a step, and act over hundreds of steps
-SUMMED = 1 << 16  # values whose gradients are summed over the threads at a time
+NORM_STEPS = 10  # steps after which the running gradient norm is reliable enough for clipping
+SMOOTH_EVERY = 8  # steps between total variation gradients, which cost a third of a step and act over hundreds of steps
+SUMMED = 1 << 16  # number of values whose gradients are summed over threads at a time
 
 
 class Adam:
-    """Moments and gradient buffers of one array `values`; gradients [threads, n] are cleared by each step.
+    """Moments and gradient buffers for one array `values`; each step clears the gradients [threads, n].
 
-    groups: (begin, end, factor of the learning rate). gradient_clip: see `clipped`; 0: never clip.
+    groups: (begin, end, learning-rate factor). gradient_clip: see clipped(); 0: never clip.
     """
 
     def __init__(
@@ -43,19 +43,19 @@ class Adam:
             adam(state, rates_of(rate * factor, self.steps, np.float32), begin, end, self.threads)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a checkpoint, beside the values."""
+        """Return the arrays for a checkpoint, without the values."""
         steps = np.asarray([self.steps, self.running_norm], np.float64)
         return {"first": self.first, "second": self.second, "steps": steps}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays()."""
+        """Restore the state from arrays()."""
         self.first[:], self.second[:] = arrays["first"], arrays["second"]
         self.steps = int(arrays["steps"][0])
         self.running_norm = float(arrays["steps"][1]) if len(arrays["steps"]) > 1 else 0.0
 
 
 def rates_of(rate: float, steps: int, dtype: Callable[[float], Any] = float) -> AdamRates:
-    """Return the numbers of step `steps`, counted from 1, as `dtype`.
+    """Return Adam's coefficients for step `steps`, counted from 1, as `dtype`.
 
     Steps are counted per optimizer, not per row: the kernel skips runs without a gradient, whose moments then do not
     decay.
@@ -64,7 +64,7 @@ def rates_of(rate: float, steps: int, dtype: Callable[[float], Any] = float) -> 
 
 
 class Optimizer(Protocol):
-    """An Adam, or a GpuAdam."""
+    """Common interface of Adam and GpuAdam."""
 
     @property
     def values(self) -> "np.ndarray | Tensor": ...
@@ -80,26 +80,26 @@ class Optimizer(Protocol):
 
 
 def moments_of(optimizers: Mapping[str, Optimizer]) -> dict[str, np.ndarray]:
-    """Arrays of a checkpoint of several optimizers, by name; the next step may overwrite them."""
+    """Return the checkpoint arrays of several optimizers, by name; the next step may overwrite them."""
     return {f"{name}.{k}": v for name, one in optimizers.items() for k, v in one.arrays().items()}
 
 
 def restore_moments(optimizers: Mapping[str, Optimizer], arrays: Mapping[str, np.ndarray]) -> None:
-    """From moments_of(), among other arrays."""
+    """Restore optimizers from moments_of(); `arrays` may hold other entries."""
     for name, one in optimizers.items():
         one.restore({k: arrays[f"{name}.{k}"] for k in ("first", "second", "steps")})
 
 
 def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, steps: int) -> float:
-    """Clip the sum over threads of gradients [threads, n], in place, at `gradient_clip` times its running norm.
+    """Clip the sum over threads of gradients [threads, n], in place, to `gradient_clip` times the running norm.
 
-    In the first NORM_STEPS steps the running norm is the plain mean of the norms, and nothing is clipped: a network
-    whose last layer starts at zero has almost no gradient at first. Later it is a running mean (decay 0.9) of the
-    clipped norms. All-zero gradients do not count. Gradients that are not finite are set to zero: one ray of NaN would
-    otherwise stay in the moments for good.
+    During the first NORM_STEPS steps, the running norm is the plain mean of the norms and nothing is clipped: a network
+    whose last layer starts at zero has almost no gradient at first. After that, it is an exponential moving average
+    (decay 0.9) of the clipped norms. All-zero gradients do not count. Non-finite gradients are set to zero: a single
+    NaN ray would otherwise stay in the moments forever.
 
     Args:
-        steps: Steps taken before.
+        steps: Number of steps taken before.
 
     Returns:
         The new running norm.
@@ -108,20 +108,20 @@ def clipped(gradients: np.ndarray, gradient_clip: float, running_norm: float, st
     if not np.isfinite(norm):
         gradients[:] = 0
         return running_norm
-    # Nothing to compare with: the first norm above 0 becomes the running norm.
+    # Without a running norm yet, the first nonzero norm becomes it.
     if norm == 0 or running_norm == 0:
         return running_norm or norm
     if steps < NORM_STEPS:
         return running_norm + (norm - running_norm) / (steps + 1)
     if norm > gradient_clip * running_norm:
         gradients *= np.float32(gradient_clip * running_norm / norm)
-        # The mean follows the clipped norm, or one spike would raise the bound for the steps after it.
+        # The mean uses the clipped norm, so that a spike does not raise the limit for the steps after it.
         norm = gradient_clip * running_norm
     return 0.9 * running_norm + 0.1 * norm
 
 
 def _norm(gradients: np.ndarray) -> float:
-    """Norm of the sum over threads, in parts: running out of memory must not leave half a step done."""
+    """Return the norm of the sum over threads, in parts: running out of memory must not leave a step half done."""
     squares = 0.0
     for at in range(0, gradients.shape[1], SUMMED):
         squares += float(np.square(gradients[:, at : at + SUMMED].sum(0), dtype=np.float64).sum())

@@ -1,4 +1,4 @@
-"""Adam over the flat value tensors of field parts on a GPU, without waiting for the device."""
+"""Adam over the flat value tensors of field parts on a GPU, without synchronization."""
 
 from typing import Self
 
@@ -13,7 +13,7 @@ from stylerf.training.common.adam import NORM_STEPS, rates_of
 
 
 class GpuAdam:
-    """adam.py's Adam, on tensors: one gradient buffer, added to by atomics."""
+    """Adam as in adam.py, on tensors, with a single gradient buffer that is accumulated atomically."""
 
     def __init__(self, values: Tensor, groups: list[tuple[int, int, float]], gradient_clip: float = 0.0) -> None:
         self.values, self.groups, self.gradient_clip = values, groups, gradient_clip
@@ -23,11 +23,11 @@ class GpuAdam:
 
     @classmethod
     def of(cls, part: GpuPart, gradient_clip: float = 0.0) -> Self:
-        """An optimizer of all that a part learns."""
+        """Return an optimizer for all values of a part."""
         return cls(part.values, part.groups, gradient_clip)
 
     def step(self, rate: float) -> None:
-        """Take one step with learning rate `rate` times each group's factor, and clear the gradients."""
+        """Take one step with learning rate `rate` times each group's factor, then clear the gradients."""
         if self.gradient_clip > 0:
             self.running_norm = clipped(self.gradients, self.gradient_clip, self.running_norm, self.steps)
         self.steps += 1
@@ -36,12 +36,12 @@ class GpuAdam:
             launch.adam(state, rates_of(rate * factor, self.steps), begin, end)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a checkpoint, beside the values."""
+        """Return the arrays for a checkpoint, without the values."""
         moments = {"first": self.first.cpu().numpy(), "second": self.second.cpu().numpy()}
         return moments | {"steps": np.asarray([self.steps, float(self.running_norm)])}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays()."""
+        """Restore the state from arrays()."""
         self.first.copy_(torch.from_numpy(arrays["first"]))
         self.second.copy_(torch.from_numpy(arrays["second"]))
         self.steps = int(arrays["steps"][0])
@@ -49,14 +49,14 @@ class GpuAdam:
 
 
 def clipped(gradients: Tensor, gradient_clip: float, running_norm: Tensor, steps: int) -> Tensor:
-    """adam.py's clipped, of gradients [n], without waiting for the device."""
-    # No branches on device values, which would wait for the device: every case is a torch.where.
+    """Clip gradients [n] as clipped() in adam.py does, without synchronization."""
+    # Branching on device values would synchronize, so every case is a torch.where.
     norm = torch.linalg.vector_norm(gradients, dtype=torch.float64)
     counts, known = torch.isfinite(norm) & (norm > 0), running_norm > 0
     clipped_norm = torch.minimum(norm, gradient_clip * running_norm) if steps >= NORM_STEPS else norm
     clipped_norm = torch.where(known, clipped_norm, norm)
     factor = torch.where(torch.isfinite(norm), torch.where(norm > 0, clipped_norm / norm, 1.0), 0.0)
-    # A norm that is not finite has factor 0, but 0 * inf and 0 * nan are NaN.
+    # For a non-finite norm the factor is 0, but 0 * inf and 0 * nan are NaN.
     gradients.mul_(factor.to(gradients.dtype)).nan_to_num_(0.0, 0.0, 0.0)
     newest = 0.1 if steps >= NORM_STEPS else 1 / (steps + 1)
     mean = torch.where(known, running_norm + newest * (clipped_norm - running_norm), clipped_norm)
@@ -64,7 +64,7 @@ def clipped(gradients: Tensor, gradient_clip: float, running_norm: Tensor, steps
 
 
 def _joined(groups: list[tuple[int, int, float]]) -> list[tuple[int, int, float]]:
-    """Merge neighboring groups of one factor: one launch less. A run of eight values may then span both."""
+    """Merge neighboring groups with the same factor, to save launches. A run of eight values may then span both."""
     joined: list[tuple[int, int, float]] = []
     for begin, end, factor in groups:
         if joined and joined[-1][1] == begin and joined[-1][2] == factor:

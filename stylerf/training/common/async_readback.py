@@ -1,6 +1,6 @@
-"""Transfers between host and device that neither waits for.
+"""Asynchronous transfers between host and device.
 
-A loop runs at most BEHIND steps ahead of the device, so that its clock is the device's.
+A loop runs at most BEHIND steps ahead of the device, so that its wall-clock time reflects the device's.
 """
 
 from collections import deque
@@ -17,13 +17,13 @@ Result = TypeVar("Result")
 
 
 class AsyncReadback(Generic[Note, Result]):
-    """Reads `width` sums of each step back from the device, some steps late.
+    """Reads `width` sums per step back from the device, with a delay of a few steps.
 
     Args:
-        read: Makes the result from a step's sums and its note.
-        first: The result before any step has arrived.
-        in_step: Return the result of exactly BEHIND steps ago, not the newest that has arrived: processes that train
-            together must get the same.
+        read: Computes the result from a step's sums and its note.
+        first: The result until the first step has arrived.
+        in_step: Return the result of exactly BEHIND steps ago instead of the newest one that has arrived, because
+            processes that train together must all get the same result.
     """
 
     def __init__(
@@ -37,33 +37,34 @@ class AsyncReadback(Generic[Note, Result]):
         on_gpu = device.type == "cuda"
         self._there = [torch.zeros(width, device=device) for _ in range(BEHIND)]
         self._here = [torch.zeros(width, pin_memory=on_gpu) for _ in range(BEHIND)]
-        self._notes: deque[Note] = deque()  # of the steps that were sent and not read yet
+        self._notes: deque[Note] = deque()  # of steps that were sent but not read yet
         self._done = [torch.cuda.Event() for _ in range(BEHIND)] if on_gpu else None
         self._sent, self._read = 0, 0
         self._result_of, self._newest, self._in_step = read, first, in_step
 
     def begin(self) -> Tensor:
-        """Sums [width] for the next step, at zero; waits for the step BEHIND steps ago."""
+        """Return zeroed sums [width] for the next step; waits for the step BEHIND steps ago."""
         if self._sent - self._read == BEHIND:
             self._take(wait=True)
         return self._there[self._sent % BEHIND].zero_()
 
     def send(self, note: Note) -> Result:
-        """Start reading the step's sums back; returns the newest result."""
+        """Start reading back the step's sums; return the newest result."""
         place = self._sent % BEHIND
-        # The slot is overwritten BEHIND steps later, when begin() has read it.
+        # The slot is overwritten BEHIND steps later, after begin() has read it.
         self._here[place].copy_(self._there[place], non_blocking=True)
         self._notes.append(note)
         if self._done is not None:
             self._done[place].record()
         self._sent += 1
-        # Which step has arrived depends on timing, so processes in step may only take results that begin() waited for.
+        # Which steps have arrived depends on timing, so processes in lockstep may only take results that begin()
+        # waited for.
         while not self._in_step and self._read < self._sent and self._take(wait=False):
             pass
         return self._newest
 
     def settle(self) -> Result:
-        """Wait for all steps; returns the last step's result."""
+        """Wait for all steps; return the last step's result."""
         while self._read < self._sent:
             self._take(wait=True)
         return self._newest
@@ -81,6 +82,6 @@ class AsyncReadback(Generic[Note, Result]):
 
 
 def sent(array: np.ndarray, device: torch.device) -> Tensor:
-    """The array on the device. To a GPU, the copy is asynchronous, from pinned memory."""
+    """Return a copy of the array on the device; to a GPU, it is asynchronous, from pinned memory."""
     there = torch.from_numpy(np.ascontiguousarray(array))
     return there.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else there.to(device)

@@ -1,4 +1,4 @@
-"""A cache of what is computed for views, bounded in bytes."""
+"""A per-view cache with a size limit in bytes."""
 
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
@@ -8,7 +8,7 @@ Item_co = TypeVar("Item_co", covariant=True)
 
 
 class PerView(Protocol[Item_co]):
-    """Something for each view, by its index: a list, or a BoundedCache."""
+    """One item per view, by index: a list or a BoundedCache."""
 
     def __len__(self) -> int: ...
 
@@ -16,13 +16,14 @@ class PerView(Protocol[Item_co]):
 
 
 class BoundedCache(Generic[Item]):
-    """Keeps the first items computed, up to `max_bytes` in all; the others are recomputed at each use.
+    """Keeps the first items computed, up to `max_bytes` in total; all others are recomputed on every use.
 
-    Views come in a new random order each epoch, so that it does not matter which are kept, and nothing is evicted.
+    Every epoch visits the views in a new random order, so it does not matter which ones are kept, and nothing is
+    evicted.
 
     Args:
-        make: Computes the item of a view, always the same.
-        size: Bytes of an item.
+        make: Computes a view's item, deterministically.
+        size: Size of an item in bytes.
     """
 
     def __init__(self, make: Callable[[int], Item], size: Callable[[Item], int], count: int, max_bytes: float) -> None:

@@ -1,4 +1,4 @@
-"""Random numbers that cover their range evenly, for means over pixels that are estimated from few of them."""
+"""Low-discrepancy random integers, for estimating means over pixels from few samples."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # 2^64 over the golden ratio
 
 
 def drawn_evenly(count: int, below: int, generator: np.random.Generator, earlier: int = 0) -> np.ndarray:
-    """Draw integers, each as likely, with gaps as even as possible: a mean over them is less noisy than over others.
+    """Draw uniform integers with low discrepancy, which makes means over them less noisy than over independent draws.
 
     Steps of the golden ratio modulo 1 from a random start (Knuth, The Art of Computer Programming, volume 3, section
-    6.4, theorem S). Any run of consecutive draws is as even.
+    6.4, theorem S). Any run of consecutive draws has low discrepancy, too.
 
     Args:
-        earlier: Number of draws that a generator in the same state made before, which these continue.
+        earlier: Number of draws already made with a generator in the same state; these continue that sequence.
 
     Returns:
         [count] int64, 0 to below - 1.

@@ -1,7 +1,7 @@
-"""Processes that train one field together: each takes part of a step's rays, and gradients are summed.
+"""Data-parallel training of one field: each process takes part of a step's rays, and gradients are summed.
 
-Every process draws the whole step's random numbers and takes its own rays, so that together they do what one process
-would. Decisions depend only on sums and on the first process's clock, so that all processes decide alike.
+Every process draws the random numbers of the whole step and takes its own rays, so that together they do what a single
+process would. Decisions depend only on sums and on the first process's clock, so all processes decide alike.
 """
 
 import json
@@ -18,15 +18,15 @@ from stylerf.errors import InvalidValue, ProcessLost
 if TYPE_CHECKING:
     from torch import Tensor
 
-LONGEST_WAIT = timedelta(days=7)  # the first process may render for hours; one that dies is noticed at once
+LONGEST_WAIT = timedelta(days=7)  # the first process may render for hours; a dead process is noticed immediately
 READING_WAIT = timedelta(seconds=10)
 Checkpoint = tuple[dict, dict[str, np.ndarray]]
 
 
 class ProcessGroup:
-    """This process among those that train together: the only one, or one of several (DistributedProcesses).
+    """The group of processes that train together: just this one, or several (DistributedProcesses).
 
-    first: whether it decides, writes and prints.
+    first: whether this process decides, writes and prints.
     """
 
     count: int = 1
@@ -34,32 +34,32 @@ class ProcessGroup:
     first: bool = True
 
     def own(self, count: int) -> slice:
-        """This process's part of `count` rays, contiguous, in the order of the processes."""
+        """Return this process's contiguous slice of `count` rays, in process order."""
         return slice(0, count)
 
     def add(self, values: "np.ndarray | Tensor") -> None:
-        """Replace values, on any device, by their sum over all processes."""
+        """Replace values, on any device, with their sum over all processes."""
 
     def add_gradients(self, buffers: np.ndarray) -> None:
-        """Sum the buffers [threads, n] of all processes into the first row, and clear the others."""
+        """Sum the buffers [threads, n] of all processes into the first row and clear the other rows."""
 
     def of_first(self, value: float) -> float:
-        """The first process's value."""
+        """Return the first process's value."""
         return value
 
     def take_first(self, values: "np.ndarray | Tensor") -> None:
-        """Replace values by the first process's."""
+        """Replace values with those of the first process."""
 
     def checkpoint(self, saved: Checkpoint | None) -> Checkpoint | None:
-        """The first process's checkpoint."""
+        """Return the first process's checkpoint."""
         return saved
 
     def tell(self, text: str = "") -> str:
-        """The first process's text; the others' own is ignored."""
+        """Return the first process's text; other processes' text is ignored."""
         return text
 
     def tell_fault(self, line: str) -> None:
-        """Leave this process's fault for the first one to report, unless another came before."""
+        """Record this process's error for others to report, unless one is recorded already."""
 
     def leave(self) -> None:
         """Leave the group."""
@@ -69,14 +69,14 @@ SINGLE_PROCESS = ProcessGroup()
 
 
 class DistributedProcesses(ProcessGroup):
-    """Processes joined by torch.distributed, at the address that torchrun sets in the environment.
+    """Processes connected by torch.distributed, at the address that torchrun sets in the environment.
 
     Args:
-        device: cpu (gloo) or cuda (gloo for host memory, NCCL for GPUs, one per process); anything else says why this
-            process has neither.
+        device: cpu (gloo) or cuda (gloo for host memory, NCCL for GPUs, one per process); anything else is the reason
+            why this process has neither.
 
     Raises:
-        InvalidValue: In every process, unless all have the same device.
+        InvalidValue: In every process, if devices differ or one has none.
     """
 
     def __init__(self, device: str = "cpu") -> None:
@@ -85,7 +85,7 @@ class DistributedProcesses(ProcessGroup):
         from torch.distributed.rendezvous import rendezvous
 
         self._torch, self._distributed = torch, distributed
-        # Under torchrun, the store outlives the processes: faults are reported through it.
+        # Under torchrun, the store outlives the processes, so errors are reported through it.
         self._store, self.place, self.count = next(iter(rendezvous("env://")))
         self.first = self.place == 0
         self._try(self._compare, self._taken(device))
@@ -97,7 +97,7 @@ class DistributedProcesses(ProcessGroup):
         )  # fmt: skip
 
     def _taken(self, device: str) -> str:
-        """Select this process's GPU; returns `device`, or why it cannot be used."""
+        """Select this process's GPU; return `device`, or why it cannot be used."""
         if device == "cuda":
             try:
                 self._torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
@@ -106,7 +106,7 @@ class DistributedProcesses(ProcessGroup):
         return device
 
     def _compare(self, device: str) -> None:
-        """Compare devices through the store, since processes with different devices cannot even join."""
+        """Compare devices through the store, since processes with different devices cannot form a group."""
         self._store.set_timeout(LONGEST_WAIT)
         self._store.set(f"stylerf device {self.place}", device)
         found = [self._store.get(f"stylerf device {place}").decode() for place in range(self.count)]
@@ -119,16 +119,16 @@ class DistributedProcesses(ProcessGroup):
         raise InvalidValue(f"processes that train together need devices of one kind, found {listed}")
 
     def _await_readers(self) -> None:
-        """Wait until all have read the result: all exit now, and the first process may host the store."""
+        """Wait until all have read the result: they are about to exit, and the first process may host the store."""
         self._store.set(f"stylerf read {self.place}", "")
         if self.place == 0:
-            with suppress(RuntimeError):  # a process that died reads no more
+            with suppress(RuntimeError):  # a dead process never reads
                 self._store.wait([f"stylerf read {place}" for place in range(self.count)], READING_WAIT)
 
     def _try(self, collective: Callable, *arguments: Any, **more: Any) -> None:
         try:
             collective(*arguments, **more)
-        except RuntimeError as error:  # gloo, NCCL and the store: a connection closed
+        except RuntimeError as error:  # raised by gloo, NCCL and the store when a connection closes
             self._abort()
             raise ProcessLost(self._reported_fault()) from error
 
@@ -136,11 +136,11 @@ class DistributedProcesses(ProcessGroup):
         return slice(self.place * count // self.count, (self.place + 1) * count // self.count)
 
     def add(self, values: "np.ndarray | Tensor") -> None:
-        # as_tensor shares an array's memory, so the sum arrives in place.
+        # as_tensor shares the array's memory, so the sum is written in place.
         self._try(self._distributed.all_reduce, self._torch.as_tensor(values))
 
     def add_gradients(self, buffers: np.ndarray) -> None:
-        for buffer in buffers[1:]:  # in the order in which a single process adds them
+        for buffer in buffers[1:]:  # in the same order as a single process
             buffers[0] += buffer
         buffers[1:] = 0
         self.add(buffers[0])
@@ -159,7 +159,7 @@ class DistributedProcesses(ProcessGroup):
         data, listing = json.loads(self.tell(json.dumps([data, listing])))
         if not self.first:
             arrays = {name: np.empty(shape, dtype) for name, dtype, shape in listing}
-        # In the leader's order, which the listing fixed: broadcasts match by order, not by name.
+        # In the first process's order, as listed: broadcasts are matched by order, not by name.
         for name, array in arrays.items():
             arrays[name] = np.ascontiguousarray(array)
             self.take_first(arrays[name].reshape(-1).view(np.uint8))
@@ -169,7 +169,7 @@ class DistributedProcesses(ProcessGroup):
         self._distributed.destroy_process_group()
 
     def _abort(self) -> None:
-        """Abort pending sums: a GPU would wait for the lost process before doing anything else."""
+        """Abort pending collectives: a GPU would wait for the lost process before doing anything else."""
         world = self._distributed.group.WORLD
         if world is not None and self._on_gpus:
             with suppress(RuntimeError):
@@ -185,7 +185,7 @@ class DistributedProcesses(ProcessGroup):
     def tell_fault(self, line: str) -> None:
         try:
             self._store.compare_set("stylerf fault", "", f"process {self.place}: {line}")
-        except RuntimeError:  # the first process hosted the store, and is gone
+        except RuntimeError:  # the first process hosted the store and is gone
             return
 
     def _reported_fault(self) -> str:

@@ -17,16 +17,16 @@ STRETCH = 65536  # bytes that reading one byte of a mapped file may load (Linux 
 
 
 def psnr_from_mse(mse: float) -> float:
-    """-10 log10(mse), dB, for values in 0..1."""
+    """Return -10 log10(mse), dB, for values in 0..1."""
     return -10.0 * math.log10(max(mse, 1e-12))  # at most 120 dB, so that an exact fit stays finite
 
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Photos one after another, row-major: values uint8 [sum of h w channels], with straight alpha for 4 channels.
+    """Concatenated photos, row-major: values uint8 [sum of h w channels], with straight alpha if there are 4 channels.
 
-    values may be mapped from a file: `read` is called with the number of places read since, each of which may have
-    loaded up to STRETCH bytes, and releases what is too much.
+    values may be mapped from a file. `read` is called with the number of positions read since the last call, each of
+    which may have loaded up to STRETCH bytes; it releases pages beyond its limit.
     """
 
     values: np.ndarray
@@ -35,54 +35,55 @@ class Pixels:
 
     @classmethod
     def of(cls, images: list[np.ndarray]) -> "Pixels":
-        """Copy uint8 images [h, w, 3 or 4] of equal channels into one array."""
+        """Copy uint8 images [h, w, 3 or 4], all with the same number of channels, into one array."""
         return cls(np.concatenate([image.reshape(-1) for image in images]), images[0].shape[2])
 
 
 class LitPixels:
-    """Pixels near anything opaque, indexed 0, 1, ... in the order of views, rows and columns.
+    """Pixels near anything not transparent, indexed 0, 1, ... by view, row and column.
 
-    Stored as runs: for 300 images of an object megabytes, where an index per pixel would take gigabytes.
+    Stored as runs: 300 images of an object take megabytes, where an index per pixel would take gigabytes.
     """
 
     def __init__(self, alphas: Iterator[np.ndarray]) -> None:
-        """alphas: [h, w] of every view in turn."""
+        """alphas: [h, w] of each view in order."""
         begins, lengths, before = [], [], 0
         for alpha in alphas:
-            # int8: bools have no sign. Padded in each view, so that no run crosses into the next one (see below()).
+            # int8, since differences have signs. Padded per view, so that no run crosses into the next one (see
+            # below()).
             edges = np.diff(near_opaque(alpha).ravel().astype(np.int8), prepend=0, append=0)
             rising = np.flatnonzero(edges == 1)
             begins.append(before + rising)
             lengths.append(np.flatnonzero(edges == -1) - rising)
             before += alpha.size
         self._begins = np.concatenate(begins)
-        # For each run, what to add to an index within it, and the first index after it.
+        # For each run, the offset to add to an index within it, and the first index after it.
         self._after = np.cumsum(np.concatenate(lengths))
         self._shifts = self._begins - np.concatenate([[0], self._after[:-1]])[: len(self._begins)]
 
     def below(self, pixel: int) -> int:
-        """Number of them in the views before `pixel`, the first pixel of a view."""
+        """Return how many are in the views before `pixel`, the first pixel of a view."""
         runs = int(np.searchsorted(self._begins, pixel))
         return int(self._after[runs - 1]) if runs else 0
 
     def __getitem__(self, numbers: np.ndarray) -> np.ndarray:
-        """The pixels of these indices."""
+        """Return the pixels at these indices."""
         return numbers + self._shifts[np.searchsorted(self._after, numbers, side="right")]
 
 
 def near_opaque(alpha: np.ndarray) -> np.ndarray:
-    """Pixels with alpha over 0, and those within 2 % of the height (at least 2 pixels) of them, bool [h, w]."""
+    """Return [h, w] bool: pixels with nonzero alpha, and those within 2 % of the height (at least 2 pixels) of them."""
     if not alpha.any():
         return np.zeros(alpha.shape, bool)
-    # The taxicab distance equals repeated dilation by a cross, in two passes.
+    # A taxicab distance transform, two passes, equals repeated dilation by a cross.
     return distance_transform_cdt(alpha == 0, metric="taxicab") <= max(2, alpha.shape[0] // 50)
 
 
-HIDDEN = 0.5  # alpha up to which a photo of a capture is masked
+HIDDEN = 0.5  # maximum alpha of masked pixels in a capture's photo
 
 
 def background_of(kind: str, count: int, generator: np.random.Generator | None) -> np.ndarray:
-    """Background colors [count, 3] float32; `random` is white without a generator."""
+    """Return background colors [count, 3] float32; `random` is white without a generator."""
     if kind == "random" and generator is not None:
         return generator.random((count, 3), dtype=np.float32)
     level = 0.0 if kind in ("black", "none") else 1.0
@@ -90,20 +91,20 @@ def background_of(kind: str, count: int, generator: np.random.Generator | None) 
 
 
 def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
-    """Composite premultiplied rgb over a background."""
+    """Return premultiplied rgb composited over a background."""
     return rgb + (1 - alpha) * background
 
 
 def target(colors: np.ndarray, background: np.ndarray | np.float32) -> np.ndarray:
-    """Composite straight rgba over a background."""
+    """Return straight rgba composited over a background."""
     return colors[:, :3] * colors[:, 3:] + (1 - colors[:, 3:]) * background
 
 
 def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Opaque targets [n, 4] for rays of a field with an opaque background, from photos' straight rgba [n, 4].
+    """Return opaque targets [n, 4] for rays of a field with an opaque background, from photos' straight rgba [n, 4].
 
-    Nothing there is transparent: a mask hides a passer-by. Under it the target is what was rendered, `found` [n, 3],
-    which teaches nothing.
+    Nothing is transparent there; alpha only masks distractors, such as a passer-by. Masked rays get the rendered color
+    `found` [n, 3] as their target, which gives no gradient.
     """
     rgb = np.where(colors[:, 3:] > HIDDEN, colors[:, :3], found)
     return np.concatenate([rgb, np.ones_like(colors[:, 3:])], 1)
@@ -112,17 +113,17 @@ def unhidden(colors: np.ndarray, found: np.ndarray) -> np.ndarray:
 def shown_rays(
     origins: np.ndarray, directions: np.ndarray, colors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The rays [n] that are not masked, made opaque; all if every one is masked."""
+    """Return the rays [n] that are not masked, made opaque; all of them if every one is masked."""
     shown = colors[:, 3] > HIDDEN
     shown = shown if shown.any() else np.ones_like(shown)
     return origins[shown], directions[shown], unhidden(colors[shown], np.zeros((int(shown.sum()), 3), np.float32))
 
 
 class RayDataset:
-    """8-bit photos and their cameras; rays are computed when drawn, and never stored.
+    """8-bit photos and their cameras; rays are computed when drawn and never stored.
 
-    photos: uint8 [h, w, 3 or 4] (straight alpha) per camera, of any sizes and equal channels; or Pixels, whose bytes
-    need not be in memory. What is drawn does not depend on where they are.
+    photos: uint8 [h, w, 3 or 4] (straight alpha) per camera, of any sizes but with the same channels; or Pixels, whose
+    bytes need not be in memory. Draws do not depend on where the bytes are.
     """
 
     def __init__(self, cameras: list[Camera], photos: list[np.ndarray] | Pixels) -> None:
@@ -137,16 +138,16 @@ class RayDataset:
             photos = Pixels.of(photos)
         self.channels, self.bytes, self.read = photos.channels, photos.values, photos.read
         if self.bytes.dtype != np.uint8 or len(self.bytes) != self._ends[-1] * self.channels:
-            raise InvalidValue(f"{len(self.bytes)} bytes do not make {self._ends[-1]} pixels of {self.channels}")
+            raise InvalidValue(f"{len(self.bytes)} bytes do not hold {self._ends[-1]} pixels of {self.channels}")
         self.starts = (self._ends - self.sizes) * self.channels
         self.intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy] for c in cameras], np.float32)
         self.poses = np.array([c.world_from_camera[:3] for c in cameras], np.float32)
-        self.codes = codes_at(np.zeros(len(cameras)))  # [views, 256]: the color that each byte stands for
-        # Fully transparent pixels far from any object teach little: they are drawn less often.
+        self.codes = codes_at(np.zeros(len(cameras)))  # [views, 256]: color of each byte value
+        # Fully transparent pixels far from any object are uninformative, so they are drawn less often.
         self.lit = LitPixels(self.alphas()) if self.channels == 4 else None
 
     def alphas(self) -> Iterator[np.ndarray]:
-        """Straight alpha [h, w] uint8 of every view in turn; the photos have four channels."""
+        """Yield straight alpha [h, w] uint8 of each view in order; requires photos with four channels."""
         for camera, start, size in zip(self.cameras, self.starts, self.sizes):
             rgba = self.bytes[start : start + 4 * size].reshape(camera.height, camera.width, 4)
             yield rgba[..., 3].copy()
@@ -156,7 +157,7 @@ class RayDataset:
         return int(self._ends[-1])
 
     def expose(self, stops: np.ndarray) -> None:
-        """Correct photos that are overexposed by stops [views] to one exposure."""
+        """Correct photos that are overexposed by stops [views] to a common exposure."""
         self.codes = codes_at(stops)
 
     def draw(
@@ -168,9 +169,9 @@ class RayDataset:
         part: slice = slice(None),
         earlier: int = 0,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Draw `count` rays of the first `among` views, evenly (decision 0061), and compute those of `part`.
+        """Draw `count` low-discrepancy rays (decision 0061) of the first `among` views, and compute those in `part`.
 
-        earlier: rays already drawn with a generator in the same state; these continue their sequence.
+        earlier: number of rays already drawn with a generator in the same state; these continue that sequence.
 
         Returns:
             origins, directions [n, 3], colors [n, 4], views [n].
@@ -187,11 +188,11 @@ class RayDataset:
         part: slice = slice(None),
         earlier: int = 0,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """(views, row-major pixels) [n] of the rays of draw(); InvalidValue unless `among` is 1 to all views."""
+        """Return (views, row-major pixels) [n] of draw()'s rays; InvalidValue unless `among` is 1..number of views."""
         if among is not None and not 1 <= among <= len(self.cameras):
             raise InvalidValue(f"rays of the first {among} of {len(self.cameras)} views cannot be drawn")
         total = len(self) if among is None else int(self._ends[among - 1])
-        # Drawn whole and cut to `part` last: every process consumes the same random stream.
+        # Draw all rays and cut to `part` last, so that every process consumes the same random stream.
         most = self.lit.below(total) if self.lit is not None and lit_share > 0 else 0
         if self.lit is None or most == 0:
             index = drawn_evenly(count, total, generator, earlier)
@@ -206,12 +207,12 @@ class RayDataset:
     def of_views(
         self, first: int, count: int, generator: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`count` random rays and their colors, of views from `first` on, each as likely; see at()."""
+        """Return `count` uniformly random rays of the views from `first` on, and their colors; see at()."""
         views = generator.integers(first, len(self.cameras), count)
         return self.at(views, (generator.random(count) * self.sizes[views]).astype(np.int64))
 
     def at(self, views: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
+        """Return rays and colors of pixels [n]: (origins, directions [n, 3], colors [n, 4])."""
         n = len(views)
         origins, directions = np.empty((n, 3), np.float32), np.empty((n, 3), np.float32)
         colors = np.empty((n, 4), np.float32)

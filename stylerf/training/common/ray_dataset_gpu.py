@@ -1,4 +1,4 @@
-"""The training photos on a device: random rays with their colors, drawn there."""
+"""Training photos on a device, with random rays and their colors drawn there."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ AT_ONCE = 1 << 22  # bytes of photos, or indices of pixels, per copy to the devi
 
 
 def unhidden(wanted: Tensor, out: Tensor, background: Tensor | float) -> Tensor:
-    """ray_dataset.unhidden, from rendered rays `out` [n, 5] over a background."""
+    """Return targets as ray_dataset.unhidden() does, from rendered rays `out` [n, 5] over a background."""
     found = out[:, :3] + (1 - out[:, 3:4]) * background
     rgb = torch.where(wanted[:, 3:] > HIDDEN, wanted[:, :3], found)
     return torch.cat([rgb, torch.ones_like(wanted[:, 3:])], 1)
@@ -32,10 +32,10 @@ class RayBatch:
 
 
 class GpuRayDataset:
-    """dataset: photos and cameras, copied to the device once, a byte a channel."""
+    """dataset: photos and cameras, copied to the device once, one byte per channel."""
 
     def __init__(self, dataset: RayDataset, device: torch.device) -> None:
-        # Lit pixels are listed as int32, half the memory.
+        # Lit pixels are listed as int32, to halve the memory.
         if len(dataset) >= 2**31:
             raise InvalidValue(f"{len(dataset)} pixels of photos; at most {2**31 - 1} can be drawn from on a GPU")
         self.device, self.channels, self.views = device, dataset.channels, len(dataset.cameras)
@@ -51,17 +51,17 @@ class GpuRayDataset:
         return torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
 
     def _bytes(self, dataset: RayDataset) -> Tensor:
-        """Copy the bytes in parts: those mapped from a file are never all in memory."""
+        """Copy the bytes in parts, so that a mapped file is never in memory as a whole."""
         there = torch.empty(len(dataset.bytes), dtype=torch.uint8, device=self.device)
         for at in range(0, len(there), AT_ONCE):
-            # A copy, so that read() may release the mapped pages before the device has them.
+            # A copy, because read() may release the mapped pages before they reach the device.
             part = dataset.bytes[at : at + AT_ONCE].copy()
             dataset.read(math.ceil(len(part) / STRETCH))
             there[at : at + len(part)] = torch.from_numpy(part)
         return there
 
     def _near_objects(self, dataset: RayDataset) -> Tensor:
-        """The pixels near objects as an int32 list, which the device draws from; the dataset stores runs."""
+        """Return the pixels near objects as an int32 list for the device to draw from; the dataset stores runs."""
         if dataset.lit is None:
             return torch.zeros(1, dtype=torch.int32, device=self.device)
         count = dataset.lit.below(len(dataset))
@@ -72,7 +72,7 @@ class GpuRayDataset:
         return there
 
     def follow_exposure(self) -> None:
-        """Copy the host dataset's present exposure."""
+        """Copy the host dataset's current exposure correction."""
         self.photos.codes = self._copy(self._host.codes)
 
     def draw(
@@ -87,12 +87,12 @@ class GpuRayDataset:
         sequence: int = 0,
         earlier: int = 0,
     ) -> RayBatch:
-        """Draw rays `first` to `first + count` of a batch of `batch` random rays, of the first `among` views.
+        """Draw rays `first` to `first + count` of a batch of `batch` random rays, from the first `among` views.
 
-        sequence, earlier: Pixels continue the sequence of this seed after so many rays, as by RayDataset.draw().
-        seed: Of jitter and background.
-        lit_share: Fraction of the batch through pixels near something opaque. level: Gray of the background; None:
-        random colors.
+        sequence, earlier: Pixels continue the sequence with this seed after `earlier` rays, as in RayDataset.draw().
+        seed: For jitter and background.
+        lit_share: Fraction of the batch through pixels near objects. level: Gray level of the background; None: random
+        colors.
         """
         total = int(self.ends[among - 1])
         most_lit = 0 if self._host.lit is None else self._host.lit.below(total)
@@ -101,11 +101,11 @@ class GpuRayDataset:
         return RayBatch(*launch.draw_rays(self.photos, drawn, count))
 
     def at(self, chosen: Tensor, jitter: Tensor) -> tuple[GpuRays, Tensor]:
-        """(rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""
+        """Return (rays, straight rgba [n, 4]) of pixels `chosen` [n] int64, indexed as by number_of(); jitter [n]."""
         origins, directions, wanted = launch.rays_of_pixels(self.photos, chosen)
         return GpuRays(origins, directions, jitter), wanted
 
     def number_of(self, views: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """Indices [n] int64 of row-major pixels of views, all views laid end to end."""
+        """Return indices [n] int64 of row-major pixels of views, into the concatenation of all views."""
         begins = np.concatenate([[0], self.ends[:-1]])
         return begins[views] + pixels

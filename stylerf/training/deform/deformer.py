@@ -1,7 +1,7 @@
-"""Train a deformation on photos, through the grid that it is baked to (DeSRF, section 3.2).
+"""Train a deformation network through the displacement grid that it is baked to (DeSRF, section 3.2).
 
-Rays read a grid of displacements; gradients go to the grid's vertices, and from there through the network. Only
-vertices near something matter: the network is evaluated some tens of thousands of times per step, not per sample.
+Rays read the displacement grid; gradients flow to its vertices and from there through the network. Only vertices near
+visible surfaces matter, so the network is evaluated tens of thousands of times per step instead of once per sample.
 """
 
 from abc import ABC, abstractmethod
@@ -33,7 +33,7 @@ from stylerf.training.deform.bending import Extension, folding
 
 REFRESH_EVERY = 16  # steps between updates of the deformed occupancy
 SIGHT_RAYS = 1 << 17  # rays that find the visible vertices
-FOLDING = 10.0  # weight of what keeps a bent scene whole (bending.folding), relative to the loss's own gradient
+FOLDING = 10.0  # weight of the folding penalty (bending.folding), relative to the loss's gradient
 HIDDEN_RATE = 0.1  # relative to the last layer's
 Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 
@@ -41,22 +41,21 @@ Buffer = TypeVar("Buffer", np.ndarray, Tensor)
 class GridDeformer(ABC, Generic[Buffer]):
     """Trains `deformation` through a displacement grid of `vertices`^3, which it adds to `field`.
 
-    The network is evaluated at the vertices around what the cameras see of the field at rest; every other vertex moves
-    as those nearby (bending.Extension).
+    The network is evaluated at the vertices around what the cameras see of the undeformed field; every other vertex
+    moves with those nearby (bending.Extension).
 
     Attributes:
-        gradient_clip: Of the network, see Adam.
-        anchored: The last layer alone learns, and not to slide: its biases follow its weights so that D, but for the
-            bound, has the same mean as before. Where a loss hardly cares for shapes, as that of a style does in a
-            capture, hidden units would be driven below zero one by one, and the whole scene would slide (decision
-            0053).
-        gradients: Where backward() adds dL/dD.
+        gradient_clip: For the network; see Adam.
+        anchored: Train only the last layer, without drift: its biases follow its weights so that the mean of D, apart
+            from the bound, is unchanged. A loss that hardly depends on shapes, such as a style loss on a capture, would
+            otherwise drive hidden units below zero one by one, and the whole scene would drift (decision 0053).
+        gradients: Buffer to which backward() adds dL/dD.
     """
 
     device = torch.device("cpu")  # of the network
     gradients: Buffer
     adam: Optimizer
-    _grid: Tensor  # [vertices^3, 3], that rays read
+    _grid: Tensor  # [vertices^3, 3], read by rays
 
     def __init__(
         self,
@@ -71,12 +70,12 @@ class GridDeformer(ABC, Generic[Buffer]):
     ) -> None:
         self.field, self.deformation, self.vertices = field, deformation, vertices
         self.gradient_clip, self.anchored = gradient_clip, anchored
-        self._learning = deformation.last if anchored else len(deformation.values)  # values, the network's last
-        self._hidden: Tensor | None = None  # [active, width], of hidden layers that stay
+        self._learning = deformation.last if anchored else len(deformation.values)  # of the network's last values
+        self._hidden: Tensor | None = None  # [active, width], output of the fixed hidden layers
         self.taken = 0
         at_rest(field)
         rays = random_rays(cameras, SIGHT_RAYS, field.space.near, np.random.default_rng([seed, 7]))
-        self.rest = occupancy_of_seen(field, rays, threads)  # of the field at rest
+        self.rest = occupancy_of_seen(field, rays, threads)  # of the undeformed field
         active = vertices_of(seen_cells(field, rays, vertices - 1, 0.1, threads))
         if not len(active):
             raise InvalidValue("no camera sees anything of the field: there is nothing to deform")
@@ -84,7 +83,7 @@ class GridDeformer(ABC, Generic[Buffer]):
         self._encoded = deformation.encode(torch.from_numpy(places.astype(np.float32))).to(self.device)
         self._extension = Extension(active, vertices, self.device)
         self._pairs = [pairs.to(self.device) for pairs in _pairs(active, vertices)]
-        # One array: the field's kernels read what bake() (on a GPU, collect()) writes.
+        # One shared array: the field's kernels read what bake() (on a GPU, collect()) writes.
         self.grid = field.displacement = np.zeros((vertices,) * 3 + (3,), np.float32)
         self._prepare(threads)
         self.bake()
@@ -94,11 +93,11 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     @abstractmethod
     def _prepare(self, threads: int) -> None:
-        """Create `gradients`, `adam` and `_grid`; the field has its grid."""
+        """Create `gradients`, `adam` and `_grid`; the field already has its grid."""
 
     @abstractmethod
     def _gathered(self) -> Tensor:
-        """dL/dD [vertices^3, 3], from `gradients`."""
+        """Return dL/dD [vertices^3, 3] from `gradients`."""
 
     @abstractmethod
     def look(self) -> None:
@@ -110,7 +109,7 @@ class GridDeformer(ABC, Generic[Buffer]):
 
     @abstractmethod
     def _number(self, size: Tensor) -> float:
-        """A number of this step; on a GPU, of some steps before."""
+        """Return a number of this step; on a GPU, of a few steps before."""
 
     @abstractmethod
     def collect(self) -> None:
@@ -131,23 +130,23 @@ class GridDeformer(ABC, Generic[Buffer]):
         self._grid.copy_(self._extension.spread(self._moved.detach()))
 
     def step(self, rate: float, weight: float, smoothness: float = 0.0, max_slope: float = 0.0) -> float:
-        """Take one step down dL/dD plus weight |D| plus smoothness TV(D); returns |D|.
+        """Take one step on dL/dD plus the gradient of weight |D| + smoothness TV(D); return |D|.
 
-        max_slope: displacements that change faster than this, per distance, are held back (0: none are).
-        |D|: root mean square displacement of the vertices that matter, the cube two units wide (L_dx of eq. 7).
+        max_slope: penalize displacements that change faster than this per distance (0: never).
+        |D|: root mean square displacement of the active vertices, for a cube two units wide (L_dx of eq. 7).
         TV: mean squared difference of neighboring vertices, in the same units.
         """
         gradient = self._extension.gathered(self._gathered())
         self.gradients[:] = 0
-        # Twice: the cube is two units wide. Without 1e-12 the root's gradient at rest, where training begins, is 0/0.
+        # Factor 2: the cube is two units wide. Without 1e-12, the root's gradient would be 0/0 where training begins.
         size = (2 * self._moved).square().sum(1).mean().add(1e-12).sqrt()
-        # <D, dL/dD> with dL/dD constant: by the network's weights, its gradient is J^T dL/dD.
+        # <D, dL/dD> with constant dL/dD has the gradient J^T dL/dD with respect to the network's weights.
         loss = (self._moved * gradient).sum() + weight * size
         if smoothness > 0:
             loss = loss + smoothness * self._variation()
         (found,) = torch.autograd.grad(loss, self._values, retain_graph=max_slope > 0)
         if max_slope > 0:
-            # As parts of the loss these would need a weight for each scene and style image.
+            # As a part of the loss, this would need a weight per scene and style image.
             (whole,) = torch.autograd.grad(self._moved, self._values, self._whole_gradient(max_slope))
             found = found + found.norm() * whole
         torch.as_tensor(self.adam.gradients).view(-1)[-self._learning :].add_(found)
@@ -159,14 +158,14 @@ class GridDeformer(ABC, Generic[Buffer]):
         return self._number(size.detach())
 
     def _learn(self, rate: float) -> None:
-        """Take the optimizer's step; if anchored, with the mean of D in its place."""
+        """Take the optimizer's step; if anchored, preserve the mean of D."""
         if self._hidden is None:
             return self.adam.step(rate)
         last = self.deformation.last
         values, mean = torch.as_tensor(self.adam.values)[-last:], self._hidden.mean(0)
         weights, biases = values[:-3].view(3, -1), values[-3:]
         gradients = torch.as_tensor(self.adam.gradients).view(-1)[-last:]
-        # With b = -W mean(h), dL/dW is that of W (h - mean(h)).
+        # With b = -W mean(h), dL/dW is the gradient of W (h - mean(h)).
         gradients[:-3].view(3, -1).sub_(torch.outer(gradients[-3:], mean))
         gradients[-3:] = 0
         before = weights.clone()
@@ -174,11 +173,11 @@ class GridDeformer(ABC, Generic[Buffer]):
         biases.sub_((weights - before) @ mean)
 
     def _whole_gradient(self, max_slope: float) -> Tensor:
-        """d/dD of the penalty of slopes beyond `max_slope`."""
+        """Return d/dD of the penalty on slopes beyond `max_slope`."""
         m = self.vertices
         grid = self._extension.spread(self._moved.detach()).requires_grad_()
         penalty = FOLDING * folding(grid.view(m, m, m, 3), self._extension.close, max_slope)
-        # By hand through the extension: autograd adds the gradients of gathered rows one by one, in half a second.
+        # Differentiate the extension by hand: autograd adds gathered rows one by one, which takes half a second.
         return self._extension.gathered(torch.autograd.grad(penalty, grid)[0])
 
     def _variation(self) -> Tensor:
@@ -189,12 +188,12 @@ class GridDeformer(ABC, Generic[Buffer]):
         return total / len(moved)
 
     def values(self) -> np.ndarray:
-        """A copy of the network's present weights."""
+        """Return a copy of the network's current weights."""
         self.collect()
         return self.deformation.values.copy()
 
     def take(self, values: np.ndarray) -> None:
-        """Set the network's weights; the optimizer's moments stay."""
+        """Set the network's weights; the optimizer's moments are kept."""
         self._set(values)
         self.look()
         self.collect()
@@ -205,13 +204,13 @@ class GridDeformer(ABC, Generic[Buffer]):
         self.bake()
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """For a checkpoint."""
+        """Return the arrays for a checkpoint."""
         values, taken = self.values(), np.asarray([self.taken])
         own = {"values": values, "taken": taken, "distances": self.field.occupancy.distances}
         return own | moments_of({"adam": self.adam})
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays()."""
+        """Restore the state from arrays()."""
         restore_moments({"adam": self.adam}, arrays)
         self.taken = int(arrays["taken"][0])
         self._set(arrays["values"])
@@ -219,7 +218,7 @@ class GridDeformer(ABC, Generic[Buffer]):
 
 
 class Deformer(GridDeformer[np.ndarray]):
-    """A deformer on the CPU. gradients: [threads, 3 vertices^3]."""
+    """The CPU implementation. gradients: [threads, 3 vertices^3]."""
 
     def _prepare(self, threads: int) -> None:
         self._grid = torch.from_numpy(self.grid).view(-1, 3)
@@ -230,7 +229,7 @@ class Deformer(GridDeformer[np.ndarray]):
         return torch.from_numpy(self.gradients.sum(0)).view(-1, 3)
 
     def look(self) -> None:
-        # The next loss reports values that are not finite.
+        # Non-finite values are reported by the next loss.
         if np.isfinite(self.grid).all():
             self.field.occupancy = displaced_occupancy(self.rest, self.grid)
 
@@ -248,10 +247,10 @@ AnyDeformer = GridDeformer[np.ndarray] | GridDeformer[Tensor]
 
 
 def rates_of(deformation: Deformation, anchored: bool) -> list[tuple[int, int, float]]:
-    """Return the (begin, end, factor) of the learning rates: of the hidden layers and the last, or its weights alone.
+    """Return (begin, end, learning-rate factor) for the hidden and last layers or, if anchored, the last one's weights.
 
-    Adam moves all weights of a unit by about the rate; at the last layer's rate a few steps in one direction would put
-    every hidden unit below zero for good, and nothing would bend any more.
+    Adam moves all weights of a unit by about the learning rate; at the last layer's rate, a few steps in one direction
+    would permanently put every hidden unit below zero, and nothing would deform any more.
     """
     end = len(deformation.values)
     begin = end - deformation.last
@@ -259,7 +258,7 @@ def rates_of(deformation: Deformation, anchored: bool) -> list[tuple[int, int, f
 
 
 def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
-    """For each axis, which neighbors along it are both evaluated by the network."""
+    """Return, for each axis, which pairs of neighbors along it are both evaluated by the network."""
     own = torch.zeros(vertices**3, dtype=torch.bool)
     own[torch.from_numpy(active)] = True
     own = own.view((vertices,) * 3)
@@ -267,8 +266,8 @@ def _pairs(active: np.ndarray, vertices: int) -> list[Tensor]:
 
 
 def random_rays(cameras: list[Camera], count: int, near: float, generator: np.random.Generator) -> Rays:
-    """About `count` rays through random pixels, equally many per camera."""
-    # Not in proportion to pixels: a single view of a hidden side must find its vertices, too.
+    """Return about `count` rays through random pixels, the same number per camera."""
+    # Not in proportion to pixels: a single view of a hidden side must also find its vertices.
     origins, directions = [], []
     for camera in cameras:
         pixels = generator.integers(0, camera.width * camera.height, max(1, count // len(cameras)))
@@ -281,7 +280,7 @@ def random_rays(cameras: list[Camera], count: int, near: float, generator: np.ra
 class PhotoError:
     """Mean squared error of a deforming field's rays, and its gradient.
 
-    background: gray level behind the field. weight_threshold: see render_rays.
+    background: gray level behind the field. weight_threshold: see render_rays().
     """
 
     def __init__(self, deformer: Deformer, background: float, weight_threshold: float, threads: int) -> None:
@@ -292,7 +291,7 @@ class PhotoError:
     def _rendered(
         self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray | None = None
     ) -> tuple[Rendered, np.ndarray]:
-        """Rendered rays, and their difference from the photos over the background."""
+        """Return rendered rays and their difference from the photos, both over the background."""
         field, back = self.deformer.field, self.background
         rays = Rays.of(origins, directions, field.space.near, jitter)
         threshold, arena = self.weight_threshold, self._memory.reset()
@@ -303,11 +302,11 @@ class PhotoError:
         return rendered, found - target(colors, back)
 
     def of(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray) -> float:
-        """Mean squared error of rays, marched from the middle of their first step, to straight rgba [n, 4]."""
+        """Return the rays' mean squared error to straight rgba [n, 4], marched from the middle of their first step."""
         return float(np.square(self._rendered(origins, directions, colors)[1]).mean())
 
     def learn(self, origins: np.ndarray, directions: np.ndarray, colors: np.ndarray, jitter: np.ndarray) -> float:
-        """Add dL/dD of rays' mean squared error to the deformer's gradients; returns the error."""
+        """Add dL/dD of the rays' mean squared error to the deformer's gradients; return the error."""
         rendered, difference = self._rendered(origins, directions, colors, jitter)
         gradients = np.zeros_like(rendered.out)
         gradients[:, :3] = difference * np.float32(2 / difference.size)

@@ -1,4 +1,4 @@
-"""Train a deformation on a GPU: network, grid, gradients, moments and occupancy stay there."""
+"""Train a deformation on a GPU; network, grid, gradients, moments and occupancy stay there."""
 
 import math
 
@@ -23,14 +23,14 @@ from stylerf.training.common.ray_dataset_gpu import unhidden
 from stylerf.training.deform.deformer import GridDeformer, rates_of
 
 RAYS_AT_ONCE = 1 << 16
-MOST_SAMPLES = 1 << 24  # of a step's rays, 1.3 GB; rays beyond that are left out of it
+MOST_SAMPLES = 1 << 24  # per step, 1.3 GB; rays that exceed it are left out of the step
 
 
 class GpuDeformer(GridDeformer[Tensor]):
-    """A deformer on a GPU. device_field: the deforming field there, through which rays are marched.
+    """The GPU implementation. device_field: the deforming field on the GPU, through which rays are marched.
 
-    What the cameras see is found once, by the CPU's kernels. `field` and `deformation` are brought up to date by
-    collect() alone. gradients: flat [3 vertices^3].
+    What the cameras see is determined once, by the CPU kernels. `field` and `deformation` are only updated by
+    collect(). gradients: flat [3 vertices^3].
     """
 
     def __init__(
@@ -66,20 +66,20 @@ class GpuDeformer(GridDeformer[Tensor]):
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
         super().restore(arrays)
-        self._sizes = self._no_sizes()  # what is still on its way is of the state that was left
+        self._sizes = self._no_sizes()  # pending readbacks belong to the previous state
 
     def _gathered(self) -> Tensor:
         return self.gradients.view(-1, 3)
 
     def look(self) -> None:
         cells, field = self.rest.cells, self.device_field
-        reach = math.ceil(self.deformation.reach * cells) + 1  # no coordinate moves farther
-        # A cell of the deformed field is occupied if its points come from near an occupied one at rest.
+        reach = math.ceil(self.deformation.reach * cells) + 1  # bounds the displacement per axis
+        # A cell of the deformed field is occupied if displacement maps it near an occupied cell of the undeformed one.
         occupied = displaced_cells(self._at_rest, cells, reach, self._grid.view(-1), field.vertices)
         field.distances = distances_to(occupied).flatten()
 
     def _place(self, distances: np.ndarray) -> None:
-        # As in look(): GPU and CPU resume each other's checkpoints.
+        # Clamped as in look(): GPU and CPU can resume each other's checkpoints.
         self.device_field.distances = torch.from_numpy(np.minimum(distances, FARTHEST_CELL)).to(self.device)
         self.collect()
 
@@ -90,14 +90,14 @@ class GpuDeformer(GridDeformer[Tensor]):
     def collect(self) -> None:
         self.deformation.values[:] = torch.as_tensor(self.adam.values).cpu().numpy()
         self.grid.reshape(-1, 3)[:] = self._grid.cpu().numpy()
-        if self._brought is not self.device_field.distances:  # the distances of a fine grid take a while
+        if self._brought is not self.device_field.distances:  # distances of a fine grid take time to compute
             self.field.occupancy = OccupancyGrid(self.rest.cells, self.rest.highest)
             self.field.occupancy.set_occupied(self.device_field.distances.cpu().numpy() == 0)  # distance 0: occupied
             self._brought = self.device_field.distances
 
 
 class GpuPhotoError:
-    """PhotoError of a GpuDeformer; learn() returns the error of some steps before. `threads` is unused."""
+    """PhotoError for a GpuDeformer; learn() returns the error of a few steps before. `threads` is unused."""
 
     def __init__(self, deformer: GpuDeformer, background: float, weight_threshold: float, threads: int) -> None:
         self.deformer, self.background, self.weight_threshold = deformer, background, weight_threshold
@@ -133,6 +133,6 @@ class GpuPhotoError:
 
 
 def _mean_error(sums: list[float], rays: int) -> float:
-    """Of (squared error, samples, rays left out) of a step."""
+    """Return the mean squared error from a step's sums (squared error, samples, rays left out)."""
     error, _, left_out = sums
     return error / (3 * max(1.0, rays - left_out))

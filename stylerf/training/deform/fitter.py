@@ -1,4 +1,4 @@
-"""Initialize a deformation on the photos, before a stylization changes it (DeSRF, section 3.2, L_init)."""
+"""Initialize a deformation on the photos before a stylization changes it (DeSRF, section 3.2, L_init)."""
 
 import math
 import time
@@ -28,13 +28,13 @@ class DeformSettings:
     """Settings of the initialization.
 
     Attributes:
-        steps, rays: Most steps, and random rays per step.
-        rate: Learning rate; falls to a tenth.
+        steps, rays: Maximum number of steps, and random rays per step.
+        rate: Learning rate; decays to a tenth.
         smoothness: Weight of the displacement's total variation.
         vertices: Vertices per side of the displacement grid.
         background: Gray level behind the field.
-        patience: dB that fixed rays must gain between two evaluations to continue (0: always continue).
-        gate: dB that they must gain in all, or the deformation is dropped (0: keep the best).
+        patience: Gain in dB on fixed rays between two evaluations required to continue (0: always continue).
+        gate: Total gain in dB on them below which the deformation is dropped (0: keep the best).
     """
 
     steps: int = 2000
@@ -54,17 +54,17 @@ class DeformState:
 
     step: int = 0
     seconds: float = 0.0
-    before: float = 0.0  # dB on the fixed rays, at rest
+    before: float = 0.0  # dB on the fixed rays, undeformed
     best: float = 0.0
     settled: bool = False
     curve: list[dict] = field(default_factory=list)
 
 
 class DeformationFitter:
-    """Fits a deformation to the photos; the scene's density and colors stay.
+    """Fits a deformation to the photos; the scene's density and colors are fixed.
 
-    held_out: number of last views that are judged by instead of trained on. backend: the deformer and photo error to
-    use, on the CPU by default (training/backends.py); both draw the same rays.
+    held_out: number of last views used for evaluation instead of training. backend: implementation of deformer and
+    photo error, by default on the CPU (training/backends.py); all draw the same rays.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class DeformationFitter:
         self.between_steps = True
 
     def _fixed_rays(self, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rays of the held-out views; of all views if none is held out."""
+        """Return rays of the held-out views, or of all views if none is held out."""
         if self.among == len(self.dataset.cameras):
             rays = self.dataset.draw(FIXED_RAYS, generator)[:3]
         else:
@@ -103,13 +103,13 @@ class DeformationFitter:
         return self.settings.gate > 0 and self.state.best < self.state.before + self.settings.gate
 
     def quality(self) -> float:
-        """PSNR over a fixed set of rays, dB."""
+        """Return the PSNR over a fixed set of rays, dB."""
         return psnr_from_mse(self._error.of(*self._fixed))
 
     def step(self) -> tuple[float, float]:
-        """Take one step; mean squared error, and root mean square of the displacement (cube two units wide).
+        """Take one step; return the mean squared error and the root mean square displacement (cube two units wide).
 
-        On a GPU, both are those of some steps before.
+        On a GPU, both are from a few steps before.
         """
         settings, state = self.settings, self.state
         generator = np.random.default_rng([self.seed, 6, state.step])
@@ -122,7 +122,7 @@ class DeformationFitter:
         return error, size
 
     def run(self, on_step: Callable[["DeformationFitter"], None] = lambda fitter: None) -> None:
-        """Train until the steps are used up or gain nothing; ends with the best deformation, or with none."""
+        """Train until the steps are used up or stop helping; ends with the best deformation, or with none."""
         state = self.state
         while state.step < self.settings.steps and not state.settled:
             begun, self.between_steps = time.perf_counter(), False
@@ -134,7 +134,7 @@ class DeformationFitter:
             state.seconds += time.perf_counter() - begun
             self.between_steps = True
             on_step(self)
-        # The last step need not be the best; photos may gain nothing from any deformation.
+        # The last step need not be the best, and some scenes gain nothing from any deformation.
         self.deformer.take(self._rest if self.dropped else self._best)
 
     def _look(self, size: float) -> None:
@@ -145,7 +145,7 @@ class DeformationFitter:
             state.best, self._best = quality, self.deformer.values()
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to resume from."""
+        """Return (JSON, arrays) to resume from."""
         return {"state": vars(self.state)}, {**self.deformer.arrays(), "best": self._best}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:

@@ -1,4 +1,4 @@
-"""The engine of a local edit on a GPU: views, table, networks and moments stay there; no step waits for it."""
+"""The engine of a local edit on a GPU: views, table, networks and moments stay there; no step synchronizes."""
 
 import numpy as np
 import torch
@@ -15,12 +15,12 @@ from stylerf.training.common.async_readback import AsyncReadback, sent
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.edit.engine import groups_of
 
-MEMORY = 8e9  # bytes that views may take on the device, or a third of what is free; those beyond are sent each time
-MOST_PARTS = 16  # of a loss
+MEMORY = 8e9  # most bytes of views on the device, or a third of its free memory; other views are sent every time
+MOST_PARTS = 16  # per loss
 
 
 class GpuEditEngine:
-    """CpuEditEngine on `device`: equal, to rounding; `threads` is unused."""
+    """CpuEditEngine on `device`, with equal results up to rounding; `threads` is unused."""
 
     def __init__(
         self,

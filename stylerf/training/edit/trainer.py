@@ -1,7 +1,7 @@
-"""Train the palette module of a region on what the views show of it, with or without a style image (LAENeRF).
+"""Train a region's palette module on the views that show it, with or without a style image (LAENeRF).
 
-Phases: palette (colors and their mixing, on the photos); style (with a style image: these and the image losses);
-pruned (after colors that hardly contribute are removed); done.
+Phases: palette (colors and their mixing, on the photos); style (with a style image: the same plus the image losses);
+pruned (after removing colors that hardly contribute); done.
 """
 
 import math
@@ -39,25 +39,25 @@ if TYPE_CHECKING:
 
 EditEngine: TypeAlias = "CpuEditEngine | GpuEditEngine"
 
-SAMPLED_COLORS = 20_000  # pixels of the region that initial palette and mean color are taken from
+SAMPLED_COLORS = 20_000  # pixels of the region from which the initial palette and the mean color are computed
 # Fractions of `seconds` for the phases.
 TIME = {"recolor": {"palette": 0.75, "pruned": 0.25}, "style": {"palette": 0.2, "style": 0.55, "pruned": 0.25}}
 
 
 @dataclass(frozen=True)
 class EditSettings:
-    """How an edit is learned.
+    """Settings of an edit.
 
     Attributes:
-        colors, max_colors: Palette colors at first, and at most after pruning.
-        palette: Initial colors: clusters, or random (LAENeRF). Of four shaded colors, clusters leave these four with
-            L_sp 0.1, random ones six with 0.5.
+        colors, max_colors: Initial number of palette colors, and maximum after pruning.
+        palette: Initial colors: clusters, or random (LAENeRF). For four shaded colors, clusters end up with these four
+            and L_sp 0.1, random ones with six and 0.5.
         palette_steps, style_steps, pruned_steps, pruned_style_steps: Steps of each phase.
-        seconds: Time limit for all of them, 0 for none; the result depends on the clock only if it is reached.
+        seconds: Time limit for all phases, 0 for none; the result depends on the clock only if the limit is reached.
         pixels: Pixels per step without a style image.
-        rate, table_rate: Learning rates of networks (palette: twice it) and table, falling to `final_rate`.
+        rate, table_rate: Learning rates of networks (palette: twice that) and table; decay by the factor `final_rate`.
         style_side, stroke: See RegionStyle.
-        keep_colors: Give the style image the region's mean color and covariance first.
+        keep_colors: First transfer the region's mean color and covariance to the style image.
     """
 
     colors: int = 8
@@ -82,12 +82,12 @@ class EditSettings:
             most = f"at most {self.max_colors} after pruning"
             raise InvalidValue(f"palette: {self.colors} colors (1..{MOST_COLORS}), {most}")
         if self.palette not in ("clusters", "random"):
-            raise InvalidValue(f"palette: expected clusters or random, not {self.palette!r}")
+            raise InvalidValue(f"palette: expected clusters or random, found {self.palette!r}")
 
 
 @dataclass
 class EditState:
-    """Progress of an edit. seconds: of the present phase; spent: of those before."""
+    """Progress of an edit. seconds: in the current phase; spent: in earlier phases."""
 
     phase: str = "palette"
     step: int = 0
@@ -97,7 +97,7 @@ class EditState:
 
 
 def start_module(views: list[EditView], settings: EditSettings, seed: int) -> PaletteModule:
-    """A module for the region in the views, with its initial palette."""
+    """Return a module for the region in the views, with its initial palette."""
     generator = np.random.default_rng([seed, 1])
     box = box_around(np.concatenate([view.x for view in views]))
     if settings.palette == "random":
@@ -108,7 +108,7 @@ def start_module(views: list[EditView], settings: EditSettings, seed: int) -> Pa
 
 
 def sampled_colors(views: list[EditView], generator: np.random.Generator) -> np.ndarray:
-    """A sample of the region's colors in the photos, [up to SAMPLED_COLORS, 3]."""
+    """Return a sample of the region's colors in the photos, [up to SAMPLED_COLORS, 3]."""
     colors = np.concatenate([view.target for view in views])
     if len(colors) <= SAMPLED_COLORS:
         return colors
@@ -119,12 +119,12 @@ class EditTrainer:
     """Trains a module in place.
 
     Args:
-        module: From start_module.
+        module: From start_module().
         style: Style image [3 or 4, h, w], or a crop of it, sRGB 0..1, with an extractor; None to recolor.
-        engine: Where it trains, on the extractor's device (training/backends.py). All engines see the same pixels.
+        engine: Where to train, on the extractor's device (training/backends.py). All engines see the same pixels.
 
     Raises:
-        InvalidValue: No view shows anything of the region.
+        InvalidValue: No view shows any part of the region.
     """
 
     def __init__(
@@ -140,9 +140,9 @@ class EditTrainer:
     ) -> None:
         self.views = [view for view in views if len(view)]
         if not self.views:
-            raise InvalidValue("no view shows anything of the region: there is nothing to learn from")
+            raise InvalidValue("no view shows any part of the region: there is nothing to learn from")
         if (style is None) != (extractor is None):
-            raise InvalidValue("a style image needs a feature extractor, and an extractor a style image")
+            raise InvalidValue("a style image needs a feature extractor, and vice versa")
         self._module, self.settings, self.seed, self.threads = module, settings, seed, threads
         self.style: RegionStyle | None = None
         if style is not None and extractor is not None:
@@ -157,19 +157,19 @@ class EditTrainer:
 
     @property
     def module(self) -> PaletteModule:
-        """The present module, its arrays up to date."""
+        """The current module, with its arrays up to date."""
         self.engine.collect()
         return self._module
 
     @property
     def evaluator(self) -> PaletteEvaluator:
-        """The present module, on the engine's device."""
+        """Evaluates the current module on the engine's device."""
         return self.engine.evaluator
 
     # -- steps ------------------------------------------------------------------------------------------------------
 
     def _steps(self) -> dict[str, int]:
-        """Steps of each phase, in order."""
+        """Return the number of steps of each phase, in order."""
         s = self.settings
         if self.style is None:
             return {"palette": s.palette_steps, "pruned": s.pruned_steps}
@@ -177,7 +177,7 @@ class EditTrainer:
 
     @property
     def progress(self) -> float:
-        """Done fraction of the present phase, 0..1."""
+        """Completed fraction of the current phase, 0..1."""
         phase, seconds = self.state.phase, self.settings.seconds
         if phase == "done":
             return 1.0
@@ -190,7 +190,7 @@ class EditTrainer:
 
     @property
     def whole_progress(self) -> float:
-        """Done fraction of all steps, 0..1."""
+        """Completed fraction of all steps, 0..1."""
         steps, done = self._steps(), 0.0
         for phase, count in steps.items():
             if phase == self.state.phase:
@@ -199,17 +199,17 @@ class EditTrainer:
         return 1.0
 
     def step(self) -> dict[str, float]:
-        """Take one step on one view; the parts of the loss."""
+        """Take one step on one view; return the parts of the loss."""
         number = list(self._steps()).index(self.state.phase)
-        # Seeded by phase and step: a resumed run draws what an uninterrupted one would.
+        # Seeded by phase and step, so that a resumed run draws the same numbers.
         generator = np.random.default_rng([self.seed, 3, number, self.state.step])
         at = self.view_of_step(number)
         view, style = self.views[at], None if self.state.phase == "palette" else self.style
         rows = np.arange(len(view))
-        # Image losses need every pixel of the view; losses of pixels do with a sample.
+        # Image losses need every pixel of the view; for per-pixel losses, a sample suffices.
         if style is None and len(view) > self.settings.pixels:
             rows = drawn_evenly(self.settings.pixels, len(view), generator)
-        # LAENeRF's jitter: the ray ends anywhere within what it sees.
+        # LAENeRF's jitter: each ray ends at a random depth within what it sees.
         jitter = (generator.random((len(rows), 1)) - 0.5).astype(np.float32)
         phi, basis, target = self.engine.pixels(at, rows, jitter)
         values = self.engine.leaf()
@@ -217,18 +217,18 @@ class EditTrainer:
         parts = self._of_pixels(mixture, target, self._module.palette_of(values))
         if style is not None:
             parts |= self._of_picture(style, at, mixture.colors, target)
-        # Parts of weight 0 are left out of the graph.
+        # Parts with weight 0 are left out of the graph.
         weights = {name: getattr(self.settings.weights, name) for name in parts}
         parts = {name: part for name, part in parts.items() if weights[name]}
         sum(weights[name] * part for name, part in parts.items()).backward()
-        # One decay over all phases, so that the rate does not jump back when a phase begins.
+        # A single decay over all phases, so that the rate does not jump when a phase begins.
         decay = self.settings.final_rate**self.whole_progress
         assert values.grad is not None
         self.engine.step(values.grad, self.settings.rate * decay, self.settings.table_rate * decay)
         return self.engine.report(parts)
 
     def view_of_step(self, number: int) -> int:
-        """The step's view: each once per epoch, in a new order each time."""
+        """Return the step's view; each epoch visits every view once, in a new order."""
         epoch, at = divmod(self.state.step, len(self.views))
         return int(np.random.default_rng([self.seed, 2, number, epoch]).permutation(len(self.views))[at])
 
@@ -267,7 +267,7 @@ class EditTrainer:
         """Run all phases, calling on_step after every step."""
         state = self.state
         while state.phase != "done":
-            # A process's first step of a phase compiles; counting its time would lower the rates of all that follow.
+            # A process's first step of a phase compiles kernels; its time would lower the rates of all later steps.
             timed = False
             while self.progress < 1.0:
                 begun, self.between_steps = time.perf_counter(), False
@@ -281,7 +281,7 @@ class EditTrainer:
                     state.curve.append({"phase": state.phase, "step": state.step, "seconds": seconds, **rounded})
                 self.between_steps = True
                 on_step(self)
-            # A GPU reports some steps late: the phase's last ones are checked here.
+            # A GPU reports a few steps late, so the phase's last steps are checked here.
             self._refuse_nan(self.engine.settle())
             self._next_phase()
 
@@ -293,7 +293,7 @@ class EditTrainer:
     def _next_phase(self) -> None:
         state, phases = self.state, [*self._steps(), "done"]
         following = phases[phases.index(state.phase) + 1]
-        self.between_steps = False  # half of this change would make a checkpoint of neither phase
+        self.between_steps = False  # a checkpoint halfway through this change would match neither phase
         if following == "pruned":
             shares = shares_of(self.evaluator, self.views, self.threads)
             self._module.active = kept_colors(self._module.active, shares, self.settings.max_colors)
@@ -302,18 +302,18 @@ class EditTrainer:
         self.between_steps = True
 
     def figures(self) -> dict:
-        """figures_of, and the seconds of each finished phase."""
+        """Return figures_of() and the seconds of each finished phase."""
         seconds = {phase: round(seconds, 2) for phase, seconds in self.state.spent.items()}
         return {**figures_of(self.evaluator, self.views, self.threads), "seconds": seconds}
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to resume from."""
+        """Return (JSON, arrays) to resume from."""
         arrays = {f"module.{k}": v for k, v in self.module.arrays().items()} | self.engine.moments()
         arrays["active"] = self._module.active
         return {"state": vars(self.state), "module": self._module.describe()}, {k: v.copy() for k, v in arrays.items()}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """Restore a checkpoint(), of whichever device."""
+        """Restore a checkpoint() from any device."""
         self.state = EditState(**data["state"])
         self._module.active = validation.array(arrays, "active", bool, self._module.active.shape).copy()
         for name, values in self._module.arrays().items():

@@ -1,6 +1,6 @@
-"""The engine of a fine-tuning, on the CPU (engine_gpu.py: on a GPU).
+"""The fine-tuning engine on the CPU (engine_gpu.py: on a GPU).
 
-The loop in trainer.py chooses pixels and learning rate; an engine takes the step. Both engines get the same pixels.
+The loop in trainer.py selects pixels and learning rate; an engine takes the step. Both engines get the same pixels.
 """
 
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from stylerf.training.common.ray_dataset import RayDataset, over, target, unhidd
 
 @dataclass(frozen=True)
 class FineTuneSettings:
-    """Settings of a fine-tuning.
+    """Settings of fine-tuning.
 
     Attributes:
-        seconds, steps: Budget: time, or steps if over 0.
+        seconds, steps: Budget: time, or steps if positive.
         rays: Rays per step.
         inside, beside: Fractions of them through edited pixels, and through pixels around those.
-        rate: Learning rate of the colors; falls to `final_rate` of itself.
-        density_factor: Learning rate of the density relative to it; 0 keeps the shapes.
+        rate: Learning rate of the colors; decays by the factor `final_rate`.
+        density_factor: Learning rate of the density relative to that of the colors; 0 keeps the shapes.
         depth_weight: Weight of the squared relative change of sum(w t) at edited pixels.
         background: Gray level behind the field.
         smoothness, near_scaling_distance: As in FitSettings.
@@ -54,7 +54,7 @@ class FineTuneBatch:
 
     Attributes:
         views, pixels, jitter: [n]; pixels are row-major.
-        depth: [m] of the first m pixels, the edited ones; 0: not held.
+        depth: [m], target depths of the first m pixels, the edited ones; 0: unconstrained.
         inside: Number of edited pixels over all processes.
         smoothness: Weight of the total variation; 0: none in this step.
     """
@@ -69,12 +69,12 @@ class FineTuneBatch:
 
 
 def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
-    """Means by name, from sums over rays outside the edit, inside it, and of depths inside it."""
+    """Return means by name, from sums over rays outside the edit, inside it, and over depths inside it."""
     return dict(zip(("outside", "inside", "depth"), (sums / np.maximum(of, 1)).tolist(), strict=True))
 
 
 class CpuFineTuneEngine:
-    """Numba kernels on `threads` threads; the same seed gives the same bits."""
+    """Numba kernels on `threads` threads; bit-identical for the same seed."""
 
     def __init__(
         self,
@@ -91,9 +91,9 @@ class CpuFineTuneEngine:
         self._memory = ScratchArena()
 
     def learn(self, batch: FineTuneBatch) -> dict[str, float]:
-        """Take one step; mean squared errors of colors outside and inside the edit, and of depths.
+        """Take one step; return the mean squared errors of colors outside and inside the edit, and of depths.
 
-        A GPU returns those of the newest step that has finished, none before the first.
+        A GPU returns those of the newest finished step, none before the first.
         """
         s, field, edited = self.settings, self.field, len(batch.depth)
         moving = s.density_factor > 0
@@ -106,7 +106,7 @@ class CpuFineTuneEngine:
             colors = unhidden(colors, found)
         difference = found - target(colors, level)
         gradients = np.zeros_like(out)
-        # C = rgb + (1 - alpha) level, so dL/d(alpha) = -level sum(dL/dC). s.rays: of all processes together.
+        # C = rgb + (1 - alpha) level, so dL/d(alpha) = -level sum(dL/dC). s.rays counts all processes.
         gradients[:, :3] = difference * np.float32(2 / (3 * s.rays))
         gradients[:, 3] = -level * gradients[:, :3].sum(1)
         if field.color_map is not None:
@@ -114,7 +114,7 @@ class CpuFineTuneEngine:
         depth_error = 0.0
         if edited and moving and s.depth_weight > 0:
             known = np.maximum(batch.depth, np.float32(1e-6))
-            # d/dz of weight mean((z / z0 - 1)^2) = 2 weight (z / z0 - 1) / (z0 n); relative errors need no unit.
+            # d/dz of weight mean((z / z0 - 1)^2) = 2 weight (z / z0 - 1) / (z0 n); relative errors are unitless.
             off = np.where(batch.depth > 0, out[:edited, 4] / known - 1, np.float32(0))
             gradients[:edited, 4] = (2 * s.depth_weight / batch.inside) * off / known
             depth_error = float(np.square(off).sum())
@@ -123,7 +123,7 @@ class CpuFineTuneEngine:
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
         for part, adam, factor in self._trained():
-            # A function of the values, not of rays: added by one process only.
+            # A function of the values, not of rays, so only one process adds it.
             if batch.smoothness > 0 and self.group.first:
                 part.smooth(batch.smoothness, adam.gradients[0])
             self.group.add_gradients(adam.gradients)
@@ -135,19 +135,19 @@ class CpuFineTuneEngine:
         return self._last
 
     def _trained(self) -> list[tuple[Part, Adam, float]]:
-        """(part, its optimizer, its rate over that of the colors) of what learns."""
+        """Return (part, its optimizer, its learning rate relative to the colors') of each trained part."""
         color, density = (self.field.color, self.color_adam, 1.0), (self.field.density, self.density_adam)
         factor = self.settings.density_factor
         return [color, (*density, factor)] if factor > 0 else [color]
 
     def settle(self) -> dict[str, float]:
-        """Wait for the last step; its errors."""
+        """Wait for the last step; return its errors."""
         return self._last
 
     def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name; the next step may overwrite them."""
+        """Return the optimizers' moments, by name; the next step may overwrite them."""
         return moments_of({"density": self.density_adam, "color": self.color_adam})
 
     def resume(self, moments: dict[str, np.ndarray]) -> None:
-        """Resume from the field's present arrays and moments()."""
+        """Resume from the field's current arrays and moments()."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, moments)

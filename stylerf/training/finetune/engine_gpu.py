@@ -1,6 +1,6 @@
-"""The fine-tuning loop's engine on a GPU: field, photos, gradients and moments stay there, pixels are named to it.
+"""The fine-tuning engine on a GPU: field, photos, gradients and moments stay there.
 
-A step sends a number and a jitter for each ray, about seventy kilobytes, and waits for nothing.
+A step sends an index and a jitter per ray, about seventy kilobytes, without synchronizing.
 """
 
 import numpy as np
@@ -21,12 +21,12 @@ from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.common.ray_dataset_gpu import GpuRayDataset, unhidden
 from stylerf.training.finetune.engine import FineTuneBatch, FineTuneSettings, parts_of
 
-# Samples that fit: all that the rays could have, up to a gigabyte. Rays beyond that are left out of their step.
+# Sample capacity: enough for all samples of a step's rays, up to a gigabyte. Rays beyond that are left out of the step.
 MAX_CAPACITY = 1 << 24
 
 
 class GpuFineTuneEngine:
-    """CpuFineTuneEngine on `device`: equal, to rounding; `threads` is unused."""
+    """CpuFineTuneEngine on `device`, with equal results up to rounding; `threads` is unused."""
 
     def __init__(
         self,
@@ -45,12 +45,12 @@ class GpuFineTuneEngine:
         if isinstance(field.color, RegionColor):
             self._within = marked_cells(field.color.marked, self.device), field.color.cells
         nothing: dict[str, float] = {}
-        # In step: a process that saw a NaN earlier would leave, and the others would wait for its gradients.
+        # In lockstep: a process that saw a NaN earlier would exit, and the others would wait for its gradients.
         self._reports = AsyncReadback(self.device, 5, self._errors, nothing, in_step=group.count > 1)
         self._take_up()
 
     def _take_up(self) -> None:
-        """The host's arrays, moments at zero."""
+        """Load the host's arrays, with zero moments."""
         self._stale = False
         self.device_field = GpuField(self._host, self.device)
         self.color_adam = GpuAdam.of(self.device_field.color)
@@ -59,7 +59,7 @@ class GpuFineTuneEngine:
     @property
     def field(self) -> RadianceField:
         if self._stale:
-            # The occupancy stays as it is: see trainer.py.
+            # The occupancy grid stays unchanged; see trainer.py.
             for part, adam in ((self._host.color, self.color_adam), (self._host.density, self.density_adam)):
                 part.values[:] = adam.values.cpu().numpy()
             self._stale = False
@@ -97,7 +97,7 @@ class GpuFineTuneEngine:
         return self._reports.send(batch.inside)
 
     def _trained(self) -> list[tuple[GpuPart, GpuAdam, float]]:
-        """(part, its optimizer, its rate over that of the colors) of what learns."""
+        """Return (part, its optimizer, its learning rate relative to the colors') of each trained part."""
         color, density = (self.device_field.color, self.color_adam, 1.0), (self.device_field.density, self.density_adam)
         factor = self.settings.density_factor
         return [color, (*density, factor)] if factor > 0 else [color]

@@ -1,7 +1,8 @@
 """Fine-tune a field on edited photos (LAENeRF, section 3.5): the colors, and the density if necessary.
 
-LAENeRF adds a depth term whose gradient its compositing discards; ours acts. The occupancy grid stays: refreshed, it
-lost thin cells all over the scene (fox: background error 1.14 times that before the edit, else 1.05).
+LAENeRF adds a depth term whose gradient is discarded by its compositing; ours has an effect. The occupancy grid is
+kept: when refreshed, it lost thin cells all over the scene (fox: background error 1.14 times that before the edit,
+otherwise 1.05).
 """
 
 import math
@@ -29,7 +30,7 @@ FineTuneEngine: TypeAlias = "CpuFineTuneEngine | GpuFineTuneEngine"
 
 @dataclass
 class FineTuneState:
-    """Progress of a fine-tuning."""
+    """Progress of fine-tuning."""
 
     step: int = 0
     seconds: float = 0.0
@@ -41,7 +42,7 @@ class EditedPixels:
     """Pixels of the edit.
 
     Attributes:
-        views, pixels: [n], index of the view and row-major pixel.
+        views, pixels: [n], view index and row-major pixel.
         depth: [n], sum(w t) of their rays before the edit, scene units; 0 for rays that end in the background.
         beside: (views, pixels) around them, which must keep their colors.
     """
@@ -57,8 +58,8 @@ class FineTuner:
 
     Args:
         dataset: All training views, edited.
-        group: Processes that train together; settings.rays are the sum over them.
-        engine: Where it trains (training/backends.py). Engines see the same rays, and resume each other's checkpoints.
+        group: Processes that train together; settings.rays is the total over them.
+        engine: Where to train (training/backends.py). Engines see the same rays and resume each other's checkpoints.
     """
 
     def __init__(
@@ -74,29 +75,29 @@ class FineTuner:
     ) -> None:
         self.group, self.dataset, self.edited, self.settings, self.seed = group, dataset, edited, settings, seed
         self.state = FineTuneState()
-        # Whether everything that learns is near the edit: rays far from it would teach nothing.
+        # Whether all trained values are near the edit, so that rays far from it are useless.
         self.local = isinstance(field.color, RegionColor) and settings.density_factor == 0
         self.engine = engine(field, dataset, settings, threads, group)
         self.between_steps = True
 
     @property
     def field(self) -> RadianceField:
-        """The present field."""
+        """The current field."""
         return self.engine.field
 
     @property
     def progress(self) -> float:
-        """Used fraction of the budget, 0..1."""
+        """Spent fraction of the budget, 0..1."""
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
     def _batch(self) -> FineTuneBatch:
-        """This process's pixels of the step.
+        """Return this process's pixels of the step.
 
-        Edited pixels come first in a step, then those beside them, then any; a process takes its part of all.
+        A step has edited pixels first, then pixels around them, then arbitrary ones; a process takes its slice.
         """
-        # Seeded by the step, for resumes. Every process draws all numbers and keeps its part: together they take the
-        # rays that one process would.
+        # Seeded by the step, for resuming. Every process draws all numbers and keeps its part, so that together they
+        # take the same rays as a single process.
         s, generator = self.settings, np.random.default_rng([self.seed, 9, self.state.step])
         inside = min(round(s.rays * s.inside), s.rays) if len(self.edited.pixels) else 0
         chosen = drawn_evenly(inside, max(1, len(self.edited.pixels)), generator)
@@ -123,20 +124,20 @@ class FineTuner:
         )
 
     def step(self) -> dict[str, float]:
-        """Take one step; mean squared errors of colors outside and inside the edit, and of depths."""
+        """Take one step; return the mean squared errors of colors outside and inside the edit, and of depths."""
         return self.engine.learn(self._batch())
 
     def run(self, on_step: Callable[["FineTuner"], None] = lambda tuner: None) -> None:
         """Train until the budget is spent, calling on_step after every step."""
         state = self.state
-        timed = False  # a process's first step compiles
+        timed = False  # a process's first step compiles kernels
         while self.progress < 1.0:
             begun, self.between_steps = time.perf_counter(), False
             parts = self.step()
             self._refuse_nan(parts)
             state.seconds += self.group.of_first(time.perf_counter() - begun) * timed
             state.step, timed = state.step + 1, True
-            if state.step % 10 == 0 and parts:  # a GPU returns none until a step has finished
+            if state.step % 10 == 0 and parts:  # a GPU returns none until its first step has finished
                 rounded = {name: float(f"{value:.4g}") for name, value in parts.items()}
                 state.curve.append({"step": state.step, "seconds": round(state.seconds, 2), **rounded})
             self.between_steps = True
@@ -148,12 +149,12 @@ class FineTuner:
             raise Diverged(f"step {self.state.step}: the loss is not finite ({parts})")
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to resume from."""
+        """Return (JSON, arrays) to resume from."""
         arrays = {f"field.{k}": v for k, v in self.field.arrays().items()} | self.engine.moments()
         return {"state": vars(self.state)}, {k: v.copy() for k, v in arrays.items()}
 
     def resume(self, data: dict, arrays: dict[str, np.ndarray]) -> None:
-        """Restore a checkpoint(), of whichever device."""
+        """Restore a checkpoint() from any device."""
         self.state = FineTuneState(**data["state"])
         for name, own in self.field.arrays().items():
             own[:] = arrays[f"field.{name}"]
@@ -161,5 +162,5 @@ class FineTuner:
 
 
 def _overlap(own: slice, begin: int, count: int) -> slice:
-    """The part of `count` rays, numbered from `begin` in a step, that lies in `own`; counted from `begin`."""
+    """Return which of `count` rays, starting at index `begin` of a step, are in `own`; relative to `begin`."""
     return slice(min(max(own.start - begin, 0), count), min(max(own.stop - begin, 0), count))

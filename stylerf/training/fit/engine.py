@@ -1,7 +1,7 @@
-"""The engine of a fit, on the CPU (engine_gpu.py: on a GPU).
+"""The engine of a fit on the CPU (engine_gpu.py: on a GPU).
 
 The loop in fitter.py decides when to grow, when to roll back and how fast to learn; an engine holds the field, takes
-the steps, renders, and updates the occupancy grid.
+steps, renders, and updates the occupancy grid.
 """
 
 from dataclasses import dataclass
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Batch:
-    """One step on `rays` random rays of the first `among` views, in `parts`; `earlier` and the seed decide which.
+    """One step on `rays` random rays of the first `among` views, in `parts`; `earlier` and the seed determine the rays.
 
-    earlier: rays of all steps before, whose sequence of draws this one continues. `step` seeds what else is random.
-    lit_share: fraction of the rays near something opaque. background: white, black, random or none. smoothness: weights
-    of the planes' total variation (density, color), 0: none. The others: see FitSettings.
+    earlier: number of rays of all previous steps, whose sequence of draws this step continues. `step` seeds everything
+    else that is random. lit_share: fraction of the rays near objects. background: white, black, random or none.
+    smoothness: weights of the planes' total variation (density, color), 0: none. All others: see FitSettings.
     """
 
     step: int
@@ -52,39 +52,39 @@ class Batch:
 
 @dataclass(frozen=True)
 class StepResult:
-    """Mean squared error and samples per ray of a step; on a GPU, of the newest step that has finished."""
+    """Mean squared error and samples per ray of a step; on a GPU, of the newest finished step."""
 
     error: float
     samples_per_ray: float
 
 
 def opacity_gradient(alpha: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for rays [n] that are clear or opaque.
+    """Return d/d(alpha) of weight * mean(4 alpha (1 - alpha)) over `rays`, a prior for clear or opaque rays [n].
 
-    Haze that few views see costs most, at alpha = 1/2; clear air and solids cost nothing.
+    Haze that few views see costs most, at alpha = 1/2; empty space and solids cost nothing.
     """
     return (np.float32(4 * weight / rays) * (1 - 2 * np.clip(alpha, 0, 1))).astype(np.float32)
 
 
 def coverage_gradient(alpha: np.ndarray, wanted: np.ndarray, weight: float, rays: int) -> np.ndarray:
-    """d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`, for the coverage of pixels [n].
+    """Return d/d(alpha) of weight * mean((alpha - wanted)^2) over `rays`, for the coverage of pixels [n].
 
-    On a background of one color, matter of that color costs nothing. Random backgrounds reveal it, but noisily: their
-    mean squared error is that on mid-gray plus a twelfth of the alphas'.
+    On a background of constant color, matter of that color costs nothing. Random backgrounds reveal it, but noisily:
+    their mean squared error is that on mid-gray plus a twelfth of the alphas'.
     """
     return (np.float32(2 * weight / rays) * (alpha - wanted)).astype(np.float32)
 
 
 def parts_of(start: int, stop: int, parts: int) -> list[slice]:
-    """Split start..stop into `parts` of about equal size, leaving out empty ones."""
+    """Split start..stop into `parts` slices of about equal size, dropping empty ones."""
     edges = [start + (stop - start) * i // parts for i in range(parts + 1)]
     return [slice(first, end) for first, end in pairwise(edges) if first < end]
 
 
 class CpuEngine:
-    """Numba kernels on `threads` threads; the same seed gives the same bits. most_rays: of a batch.
+    """Numba kernels on `threads` threads; bit-identical for the same seed. most_rays: maximum rays per batch.
 
-    Processes that train together (ProcessGroup) each do their part of a batch; results are sums over all.
+    Processes that train together (ProcessGroup) each process their part of a batch; results are sums over all.
     """
 
     most_rays = 16384
@@ -106,7 +106,7 @@ class CpuEngine:
         self._hull = field.occupancy.clear
 
     def adopt(self, field: RadianceField) -> None:
-        """Train this field from now on; moments are zero, except of a part that is the same object as before."""
+        """Train this field from now on; moments start at zero, except for a part that is the same object as before."""
         self.field = field
         if self.density_adam.values is not field.density.values:
             self.density_adam = self._new_adam(field.density)
@@ -121,11 +121,11 @@ class CpuEngine:
 
     @property
     def parameters(self) -> int:
-        """Number of learnable values; does not wait for a GPU."""
+        """Number of learnable parameters; does not synchronize with a GPU."""
         return self.field.parameters
 
     def refresh(self, seed: int, stride: int, elapsed: float = 0.0) -> None:
-        """Update the occupancy grid at one cell in `stride`. elapsed: part of the budget since the last time."""
+        """Update the occupancy grid at every stride-th cell. elapsed: fraction of the budget since the last update."""
         field = self.field
         if self._seen is not None:
             self._seen.update(elapsed, self.group)
@@ -133,16 +133,16 @@ class CpuEngine:
         field.occupancy.refresh(lambda x: field.density.sigma(x, self.threads), field.step, seed, stride, 0.9)
 
     def _clear_unseen(self) -> None:
-        """Empty the cells that no training ray has seen for long."""
+        """Empty the cells that no training ray has seen for a long time."""
         if self._seen is not None:
             unseen = self._seen.unseen().numpy()
             self.field.occupancy.empty(unseen if self._hull is None else unseen | self._hull)
 
     def learn(self, batch: Batch) -> StepResult:
         """Take one step. Raises MemoryError if the batch does not fit; then call discard()."""
-        # Pixels are one sequence over all steps (decision 0061); what else is random is seeded by the step. A resumed
-        # run draws what an uninterrupted one would. Every process draws the whole batch and then takes its own rays, so
-        # the drawing order must not depend on `own` (decision 0020).
+        # Pixels form one sequence over all steps (decision 0061); everything else random is seeded by the step, so that
+        # a resumed run draws the same numbers. Every process draws the whole batch and then takes its own rays, so the
+        # drawing order must not depend on `own` (decision 0020).
         pixels, generator = np.random.default_rng([self.seed, 5]), np.random.default_rng([self.seed, 4, batch.step])
         count, near, own = batch.rays, self.field.space.near, self.group.own(batch.rays)
         origins, directions, colors, _ = self.dataset.draw(
@@ -152,14 +152,14 @@ class CpuEngine:
         background = background_of(batch.background, count, generator)[own]
         totals = np.zeros(2)  # squared error, samples
         if batch.least_weight > 0 and self._seen is None:
-            from stylerf.training.fit.seen_cells import SeenCells  # imports torch: a second that objects need not wait
+            from stylerf.training.fit.seen_cells import SeenCells  # imports torch: a second, unneeded for objects
 
             self._seen = SeenCells(self.field.occupancy.cells)
         for some in parts_of(0, len(origins), batch.parts):
             rays = Rays.of(origins[some], directions[some], near, jitter[some])
             totals += self._learn_part(batch, rays, colors[some], background[some])
         both = (self.field.density, self.density_adam), (self.field.color, self.color_adam)
-        # A function of the values, not of rays: if every process added it, the sum would count it several times.
+        # A function of the values, not of rays: if every process added it, the sum would count it repeatedly.
         for strength, (part, adam) in zip(batch.smoothness, both):
             if strength > 0 and self.group.first:
                 part.smooth(strength, adam.gradients[0])
@@ -172,7 +172,7 @@ class CpuEngine:
         return StepResult(error / (3 * count), samples / count)
 
     def _learn_part(self, batch: Batch, rays: Rays, colors: np.ndarray, back: np.ndarray) -> tuple[float, int]:
-        """Add the gradients of some rays of a batch; the sum of their squared errors, and the number of samples."""
+        """Add the gradients of some rays of a batch; return the sum of their squared errors and their sample count."""
         count = batch.rays
         rendered = render_rays(self.field, rays, threads=self.threads, arena=self._memory.reset())
         out = rendered.out
@@ -181,8 +181,8 @@ class CpuEngine:
             colors = unhidden(colors, found)
         difference = found - target(colors, back)
         gradients = np.zeros_like(out)
-        # C = rgb + (1 - alpha) back, so dL/d(alpha) = -dL/dC . back. `count` is the whole batch's number of rays, so
-        # parts and processes add up to its mean.
+        # C = rgb + (1 - alpha) back, so dL/d(alpha) = -dL/dC . back. `count` is the number of rays in the whole batch,
+        # so parts and processes add up to its mean.
         gradients[:, :3] = difference * np.float32(2 / (3 * count))
         gradients[:, 3] = -(gradients[:, :3] * back).sum(1)
         if batch.opacity > 0:
@@ -201,14 +201,14 @@ class CpuEngine:
         return float(np.square(difference).sum()), rendered.samples.total
 
     def discard(self) -> None:
-        """Drop accumulated gradients."""
+        """Discard accumulated gradients."""
         self._memory = ScratchArena()  # its memory is needed for smaller batches
         self.density_adam.gradients[:] = 0
         self.color_adam.gradients[:] = 0
 
     def rendered(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
-        # Processes render every count-th chunk; the rest stays zero, so that their sum is the whole.
+        """Return premultiplied color, alpha and distance of rays without jitter, [rays, 5] float32."""
+        # Each process renders every count-th chunk; the rest stays zero, so that the sum is complete.
         found = np.zeros((len(origins), 5), np.float32)
         for begin in range(4096 * self.group.place, len(origins), 4096 * self.group.count):
             part = slice(begin, begin + 4096)
@@ -219,23 +219,23 @@ class CpuEngine:
         return found
 
     def follow_exposure(self) -> None:
-        """Take over the exposure of the loop's dataset, if this one is a copy."""
+        """Copy the exposure of the loop's dataset, if the engine has its own copy of the photos."""
 
     def settle(self) -> None:
-        """Wait for pending steps, whose time would otherwise count for what follows."""
+        """Wait for pending steps, whose time would otherwise be attributed to what follows."""
 
     def agree(self) -> None:
-        """Take over the first process's values, so that differences in rounding do not add up."""
+        """Copy the first process's values, so that rounding differences do not accumulate."""
         for part in (self.field.density, self.field.color):
             self.group.take_first(part.values)
 
     def moments(self) -> dict[str, np.ndarray]:
-        """The optimizers' moments, by name."""
+        """Return the optimizers' moments, by name."""
         moments = moments_of({"density": self.density_adam, "color": self.color_adam})
         return moments if self._seen is None else moments | self._seen.arrays()
 
     def restore_moments(self, arrays: dict[str, np.ndarray]) -> None:
-        """From moments(), for the field adopted last."""
+        """Restore moments() for the field adopted last."""
         restore_moments({"density": self.density_adam, "color": self.color_adam}, arrays)
         if "seen.ages" in arrays:
             from stylerf.training.fit.seen_cells import SeenCells
@@ -246,7 +246,7 @@ class CpuEngine:
         self._clear_unseen()
 
     def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:
-        """Compile every kernel that a step with these settings uses, on these scratch fields."""
+        """Compile all kernels that a step with these settings uses, on these scratch fields."""
         origins, directions, _, _ = self.dataset.draw(16, np.random.default_rng(0))
         rays = Rays.of(origins, directions, self.field.space.near)
         for field in scratch:

@@ -1,7 +1,7 @@
 """The engine of a fit on a GPU: field, photos, rays, gradients and moments stay on the device.
 
-A step is about fifteen launches, none of which waits. Its error and number of samples arrive some steps later
-(async_readback.py).
+A step is about fifteen kernel launches without synchronization. Its error and number of samples arrive a few steps
+later (async_readback.py).
 """
 
 from collections.abc import Iterator
@@ -26,22 +26,22 @@ from stylerf.training.fit.engine import Batch, StepResult, parts_of
 from stylerf.training.fit.seen_cells import SeenCells
 from stylerf.training.fit.settings import FitSettings
 
-CAPACITY_FACTOR = 4  # times the intended samples of a batch; rays beyond that are left out of the step
+CAPACITY_FACTOR = 4  # sample capacity relative to a batch's target; rays beyond it are left out of the step
 MIN_CAPACITY = 1 << 18
 
 
 def opacity_gradient(rendered: GpuRendered, weight: float, rays: int) -> Tensor:
-    """engine.opacity_gradient, of a part of `rays` rays; those that were left out teach nothing."""
+    """engine.opacity_gradient() for some of `rays` rays; rays that were left out have no gradient."""
     return torch.where(_whole(rendered), (4 * weight / rays) * (1 - 2 * rendered.out[:, 3].clamp(0, 1)), 0.0)
 
 
 def coverage_gradient(rendered: GpuRendered, wanted: Tensor, weight: float, rays: int) -> Tensor:
-    """As engine.py's, likewise."""
+    """engine.coverage_gradient(), likewise."""
     return torch.where(_whole(rendered), (2 * weight / rays) * (rendered.out[:, 3] - wanted), 0.0)
 
 
 def _whole(rendered: GpuRendered) -> Tensor:
-    """Rays of which no sample was left out."""
+    """Return which rays have all of their samples."""
     s = rendered.samples
     return s.counts == s.ends - s.starts
 
@@ -57,9 +57,9 @@ def out_of_memory() -> Iterator[None]:
 
 
 def _learned(sums: list[float], rays: int) -> StepResult:
-    """From (squared error, samples, rays left out) of a step."""
+    """Return the result from a step's sums (squared error, samples, rays left out)."""
     error, samples, left_out = sums
-    # With rays left out, there were more samples than were counted.
+    # If rays were left out, there were more samples than counted.
     counted = max(1.0, rays - left_out)
     return StepResult(error / (3 * counted), samples / counted)
 
@@ -67,7 +67,7 @@ def _learned(sums: list[float], rays: int) -> StepResult:
 class GpuEngine:
     """Engine on `device`. samples: FitSettings.samples; `threads` is unused.
 
-    Each of several processes has its own GPU; gradients are summed there.
+    With several processes, each has its own GPU; gradients are summed on the GPUs.
     """
 
     most_rays = 1 << 17
@@ -93,9 +93,9 @@ class GpuEngine:
         self._seen: SeenCells | None = None
 
     def _copy(self, field: RadianceField) -> None:
-        """Copy a field to the device; what is still on its way back is of the one before."""
+        """Copy a field to the device; pending readbacks belong to the previous one."""
         self._host, self._stale = field, False
-        self._parts = field.density, field.color  # the field itself may get others before it is adopted again
+        self._parts = field.density, field.color  # the field may get different parts before it is adopted again
         self.device_field = GpuField(field, self.device)
         self._hull = self.device_field.clear
         self._reports = AsyncReadback(self.device, 3, _learned, StepResult(0.0, 0.0), in_step=True)
@@ -109,7 +109,7 @@ class GpuEngine:
             self._seen = self._seen.resized(field.occupancy.cells)
 
     def _adam_of(self, part: GpuPart, before: GpuAdam, kept: bool) -> GpuAdam:
-        """An optimizer of a part's new tensors; if the part was kept, with the moments of `before`."""
+        """Return an optimizer for a part's new tensors; if the part was kept, with the moments of `before`."""
         adam = GpuAdam.of(part, self.gradient_clip)
         if kept:
             adam.first, adam.second, adam.steps = before.first, before.second, before.steps
@@ -146,7 +146,7 @@ class GpuEngine:
         sums = self._reports.begin()
         with out_of_memory():
             self._add_gradients(batch, sums)
-        # From here on, running out of memory ends the run: a restarted step would request the sums twice.
+        # From here on, running out of memory ends the run: a retried step would request the sums twice.
         for summed in (sums, self.density_adam.gradients, self.color_adam.gradients):
             self.group.add(summed)
         self.density_adam.step(batch.rate)
@@ -155,9 +155,9 @@ class GpuEngine:
         return self._reports.send(batch.rays)
 
     def _add_gradients(self, batch: Batch, sums: Tensor) -> None:
-        """Add the gradients of this process's rays and of the smoothness; errors and counts go to sums [3]."""
+        """Add the gradients of this process's rays and of the smoothness; add errors and counts to sums [3]."""
         field = self.device_field
-        # The kernel's generator is counter-based: a ray's draw depends on seed and ray, not on parts or processes.
+        # The kernel's generator is counter-based: a ray's draw depends on the seed and the ray, not on the partition.
         seed = (self.seed * 1_000_003 + batch.step) & 0x7FFFFFFF
         level = None if batch.background == "random" else 0.0 if batch.background in ("black", "none") else 1.0
         own = self.group.own(batch.rays)
@@ -208,7 +208,7 @@ class GpuEngine:
     def agree(self) -> None:
         for part in (self.device_field.density, self.device_field.color):
             self.group.take_first(part.values)
-        if self.group.count > 1:  # different GPUs draw different points
+        if self.group.count > 1:  # GPUs of different types draw different points
             self.group.take_first(self.device_field.highest)
             decide(self.device_field)
             self._stale = True
@@ -223,7 +223,7 @@ class GpuEngine:
         self._clear_unseen()
 
     def warm_up(self, scratch: list[RadianceField], settings: FitSettings) -> None:
-        # Kernels differ by random and fixed background (None, 1.0) and by the parts' kinds; the data do not matter.
+        # Kernels differ between random and fixed backgrounds (None, 1.0) and by the parts' kinds; data do not matter.
         sums = torch.zeros(3, device=self.device)
         for host in scratch:
             field = GpuField(host, self.device)
@@ -246,6 +246,6 @@ class GpuEngine:
                 if weight > 0:
                     part.smooth(weight, adam.gradients)
                 adam.step(1e-3)
-        self.group.add(torch.zeros(1, device=self.device))  # the first sum connects the GPUs
+        self.group.add(torch.zeros(1, device=self.device))  # the first collective connects the GPUs
         if self.device.type == "cuda":
             torch.cuda.synchronize(self.device)

@@ -1,9 +1,9 @@
-"""Estimate the exposure differences of photos, from surfaces that several of them see.
+"""Estimate exposure differences between photos from surfaces that several of them see.
 
-With auto exposure, a wall is bright in one photo and dark in another, and a field can only mix them or give each side
-of the wall its own color. NeRF-W learns an appearance per photo (Martin-Brualla et al. 2021); here it is one number per
-photo. Photos are compared with each other, never with the field, which has learned their differences by then; only its
-depth is used, to find where a surface is seen again.
+With auto exposure, a wall is bright in one photo and dark in another, and a field can only average them or bake the
+difference into the wall. NeRF-W learns an appearance per photo (Martin-Brualla et al. 2021); here it is one number per
+photo. Photos are compared with each other, never with the field, which has learned their differences by then; the field
+only provides depth, to find where a surface is seen again.
 """
 
 from collections.abc import Callable
@@ -15,20 +15,20 @@ from stylerf.training.common.ray_dataset import RayDataset
 
 POINTS = 16384  # surface points in all, at least MIN_POINTS per photo
 MIN_POINTS = 64
-OTHERS, TRIED = 3, 12  # photos compared per point, found among so many random ones
+OTHERS, TRIED = 3, 12  # photos compared per point, out of this many random candidates
 DARKEST, BRIGHTEST = 0.03, 0.97  # usable code values
-CLIPPED = 250  # bytes from which a sensor may have been saturated
-SOLID = 0.9  # alpha of a surface
-APART = 0.03  # of its distance, how far a point may lie from the surface that another photo sees
+CLIPPED = 250  # byte values from which the sensor may have been saturated
+SOLID = 0.9  # minimum alpha of a surface
+APART = 0.03  # tolerance between a point and the surface that another photo sees, relative to the distance
 ROUNDS = 20
-FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable; nothing is done unless requested
-PLAINLY = 0.27  # stops, standard deviation, from which exposures clearly differ
-# From origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
+FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable, so nothing is done unless requested
+PLAINLY = 0.27  # standard deviation in stops from which exposures clearly differ
+# Maps origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
 Renderer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class Exposures:
-    """Judges the exposure of a dataset's photos at pixels chosen once."""
+    """Estimates the exposure of a dataset's photos at pixels that are chosen once."""
 
     def __init__(self, dataset: RayDataset, seed: int) -> None:
         self.dataset = dataset
@@ -40,11 +40,11 @@ class Exposures:
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
     def judged(self, rendered: Renderer, stops: np.ndarray) -> np.ndarray:
-        """Estimate by how many stops each photo is overexposed, [views], mean 0. stops: the present estimate."""
+        """Estimate by how many stops each photo is overexposed, [views], mean 0. stops: the current estimate."""
         points, luminance = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(luminance))
         found, luminance_there, distance = self._surfaces(rendered, others, pixels)
-        # A point is seen again if the other photo's own ray ends at the same place, not at an occluder in front of it.
+        # A point is seen again if the other photo's ray ends at the same point, not at an occluder in front of it.
         apart = np.linalg.norm(found - points[at], axis=1)
         same = np.isfinite(luminance_there) & (apart < APART * distance)
         beyond = np.log2(luminance[at[same]] / luminance_there[same])
@@ -53,8 +53,8 @@ class Exposures:
     def _surfaces(
         self, rendered: Renderer, views: np.ndarray, pixels: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of pixels [n]: points in the world [n, 3], light that the photos show there, NaN where unusable [n],
-        and the distance [n]."""
+        """Return, for pixels [n], world-space points [n, 3], luminance in the photos [n] (linear; NaN where unusable)
+        and distances [n]."""
         origins, directions, colors = self.dataset.at(views, pixels)
         out = rendered(origins, directions)
         distance = out[:, 4]
@@ -65,7 +65,7 @@ class Exposures:
         return origins + directions * distance[:, None], luminance, distance
 
     def _seen_again(self, points: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(point, view, pixel) [m] of the first OTHERS photos that each known point falls into."""
+        """Return (point, view, pixel) [m] for the first OTHERS photos that each known point projects into."""
         pixels = np.full(self.others.shape, -1)
         # Sorted by view, so that each camera projects its points in one call.
         by_view = np.argsort(self.others, axis=None, kind="stable")
@@ -74,7 +74,7 @@ class Exposures:
             at, place = np.divmod(by_view[first:end], TRIED)
             at, place = at[known[at]], place[known[at]]
             position, depth = camera.project(points[at])
-            # Points behind a camera project anywhere, even to infinity, which has no int64.
+            # Points behind a camera may project anywhere, even to infinity, which int64 cannot represent.
             column, row = np.floor(np.clip(position, -1, 1e6)).astype(np.int64).T
             inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
             pixels[at[inside], place[inside]] = (row * camera.width + column)[inside]
@@ -84,14 +84,14 @@ class Exposures:
 
 
 def balanced(count: int, first: np.ndarray, second: np.ndarray, beyond: np.ndarray, now: np.ndarray) -> np.ndarray:
-    """[count] stops, their mean 0: `now` and what differences `beyond` [n] of photos `first` to photos `second` add.
+    """Return stops [count], mean 0: `now`, corrected by the differences `beyond` [n] from photos `first` to `second`.
 
-    Least absolute deviations, by weighted least squares repeated; a photo without data keeps its value.
+    Least absolute deviations by iteratively reweighted least squares; a photo without data keeps its value.
     """
     change: np.ndarray = np.zeros(count)
     for _ in range(ROUNDS):
-        # Weights 1/|residual| turn least squares into least absolute deviations; the floor (stops) bounds them at a
-        # residual of 0. A common offset is free and a photo may have no data: the ridge keeps the system regular.
+        # Weights 1/|residual| turn least squares into least absolute deviations; the floor (stops) bounds them near a
+        # zero residual. A common offset is free and a photo may have no data, so the ridge keeps the system regular.
         weight = 1 / np.maximum(np.abs(change[first] - change[second] - beyond), 0.02)
         matrix, sums = 1e-3 * np.eye(count), np.zeros(count)
         np.add.at(matrix, (first, first), weight)

@@ -1,10 +1,10 @@
 """Fit a radiance field to posed images, no larger than held-out views require.
 
 The field starts coarse and grows through capacity levels. Each level is a trial: unless held-out views have gained
-`min_gain` dB over the level before when its part of the budget is used up, the field returns to that level and stays
-there. Afterwards, what the views do not miss is pruned (capacity_search.py decides). Held-out views are taken from the
-training views, never from the test views; once everything is decided, or in the last part of the budget, they are
-trained on as well.
+`min_gain` dB over the previous level when its part of the budget is used up, the field returns to the previous level
+and stays there. Then, whatever the views do not need is pruned (capacity_search.py decides). Held-out views are taken
+from the training views, never from the test views; once everything is decided, or in the last part of the budget, they
+are trained on as well.
 """
 
 import itertools
@@ -48,14 +48,14 @@ CHECK_EVERY = 0.04  # of the budget
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A field's describe(); its arrays, and the engine's moments."""
+    """A field's describe() and arrays, and the engine's moments."""
 
     field: dict[str, Any]
     arrays: dict[str, np.ndarray]
 
     @classmethod
     def of(cls, field: dict[str, Any], arrays: dict[str, np.ndarray], prefix: str) -> "Snapshot":
-        """From the arrays of a checkpoint whose names begin with `prefix`."""
+        """Create a snapshot from the checkpoint arrays whose names begin with `prefix`."""
         return cls(field, {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)})
 
 
@@ -63,10 +63,10 @@ class Fitter:
     """Trains until the budget is spent.
 
     Args:
-        dataset: Training rays; the last `held_out` views are for decisions.
-        on_say: Receives messages about choices made.
-        group: Processes that train this field together; settings.samples are the sum over them.
-        engine: Makes the engine, from (dataset, seed, threads, first field, group); see training/backends.py.
+        dataset: Training rays; the last `held_out` views are held out for decisions.
+        on_say: Receives messages about decisions.
+        group: Processes that train this field together; settings.samples is the total over them.
+        engine: Creates the engine from (dataset, seed, threads, first field, group); see training/backends.py.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Fitter:
         self.state = FitState()
         self.search = CapacitySearch(settings, self.state, self._judges)
         self._warm: set[tuple[int, int, int]] = set()
-        self.checks, self.check_seconds = 0, 0.0  # of this process, and how long the last one took beside the budget
+        self.checks, self.check_seconds = 0, 0.0  # in this process; time of the last one, outside the budget
         level, generator = settings.levels[0], np.random.default_rng([seed, 1])
         self._clear: dict[int, np.ndarray | None] = {}
         first = RadianceField(
@@ -104,7 +104,7 @@ class Fitter:
         self.between_steps = True
 
     def _clear_cells(self, cells: int) -> np.ndarray | None:
-        """Cells that cut-out training views show to be empty; None without a visual hull."""
+        """Return the cells that cut-out training views show to be empty; None without a visual hull."""
         if self.settings.visual_hull <= 0 or self.space.kind != "box" or self.dataset.channels != 4:
             return None
         if cells not in self._clear:
@@ -118,12 +118,12 @@ class Fitter:
 
     @property
     def field(self) -> RadianceField:
-        """The present field."""
+        """The current field."""
         return self.engine.field
 
     @property
     def parameters(self) -> int:
-        """Number of learnable values; does not wait for a GPU."""
+        """Number of learnable parameters; does not synchronize with a GPU."""
         return self.engine.parameters
 
     def _capacities(
@@ -134,8 +134,8 @@ class Fitter:
         return capacities_at(level, finest, levels, self.space, occupancy, settings.degree)
 
     def resize(self, level: CapacityLevel) -> None:
-        """Take the present field to another capacity level, with the same picture as far as that can hold it."""
-        # Seeded by the level, not by what was drawn before: a resumed run repeats a trial from the same values.
+        """Convert the current field to another capacity level, preserving it as far as that level can represent it."""
+        # Seeded by the level, not by earlier draws, so that a resumed run repeats a trial from the same values.
         generator = np.random.default_rng([self.seed, 2, level.resolution])
         old = self.field
         grown = RadianceField(
@@ -154,19 +154,19 @@ class Fitter:
 
     @property
     def judging(self) -> bool:
-        """Whether views are held out now."""
+        """Whether views are currently held out."""
         until = self.settings.held_out_until
         return self.held_out > 0 and self.progress < until and (until >= 1 or not self.state.decided)
 
     def held_out_psnr(self) -> float:
-        """PSNR over the held-out rays (training rays if no view is held out), dB."""
-        # Processes may differ in rounding, which could tip a decision: all take the first one's number.
+        """Return the PSNR over held-out rays (training rays if no view is held out), dB."""
+        # Processes may differ in rounding, which could tip a decision, so all use the first one's number.
         return self.group.of_first(self.held_out_rays.psnr(self.engine.rendered))
 
     def balance(self, exposures: Exposures, quality: float) -> float:
-        """Estimate by how many stops the photos differ, and correct them; returns the quality on the corrected photos.
+        """Estimate by how many stops the photos differ and correct them; return the quality on the corrected photos.
 
-        Earlier qualities are shifted by the difference, which would otherwise look like a fall or a gain.
+        Earlier qualities are shifted by the difference, which would otherwise look like a loss or a gain.
         """
         first = self.state.stops is None
         before = np.zeros(len(self.dataset.cameras)) if first else np.array(self.state.stops)
@@ -194,17 +194,17 @@ class Fitter:
 
     @property
     def progress(self) -> float:
-        """Used fraction of the budget, 0..1."""
+        """Spent fraction of the budget, 0..1."""
         s = self.settings
         return min(1.0, self.state.step / s.steps if s.steps else self.state.seconds / s.seconds)
 
     def step(self) -> float:
-        """Take one optimization step; its mean squared error."""
+        """Take one optimization step; return its mean squared error."""
         settings, state = self.settings, self.state
-        # Once per step, even if running out of memory restarts it: processes must not differ in this.
+        # Once per step, even if it is retried after running out of memory, so that processes do not differ.
         if state.step >= 16 and state.step % refresh_every(state.step) == 0 and self._refreshed_at != state.step:
             self._refreshed_at = state.step
-            # All cells at first, later every fourth from a random start: densities have settled, and cells are many.
+            # All cells at first; later, with settled densities and many cells, every fourth from a random start.
             elapsed, state.refreshed_at = self.progress - state.refreshed_at, self.progress
             self.engine.refresh(self.seed + state.step, 1 if state.step < 300 else 4, elapsed)
         learned = self.engine.learn(self._batch())
@@ -215,7 +215,7 @@ class Fitter:
         return learned.error
 
     def _batch(self) -> Batch:
-        """The next step."""
+        """Return the next step."""
         among = len(self.dataset.cameras) - (self.held_out if self.judging else 0)
         return batch_at(self.progress, self.state, self.settings, among, self.dataset.channels)
 
@@ -226,7 +226,7 @@ class Fitter:
 
         check_every: fraction of the budget between evaluations on the held-out views.
         """
-        # Compiling takes longer than many steps; it must not count as training time.
+        # Compilation takes longer than many steps and must not count as training time.
         self.warm_up()
         state = self.state
         next_check = (math.floor(self.progress / check_every) + 1) * check_every
@@ -237,7 +237,7 @@ class Fitter:
             except MemoryError:
                 self._halve_parts()
                 continue
-            # One clock for all processes: each decides by `progress`, and must decide alike.
+            # One clock for all processes, since each decides by `progress` and all must decide alike.
             state.seconds += self.group.of_first(time.perf_counter() - begun)
             if not math.isfinite(error):
                 self._roll_back("the loss is not finite")
@@ -251,7 +251,7 @@ class Fitter:
         return self.search.growth_due(self.progress) or self.search.over(self.progress)
 
     def warm_up(self) -> None:
-        """Compile every kernel that a step uses, for the ranks of all levels, without training."""
+        """Compile all kernels that a step uses, for the ranks of all levels, without training."""
         self.warm_up_levels([*self.settings.levels, self.search.level])
 
     def warm_up_levels(self, levels: Iterable[CapacityLevel]) -> None:
@@ -261,7 +261,7 @@ class Fitter:
         if kinds <= self._warm:
             return
         for density_rank, color_rank, degree in kinds - self._warm:
-            # Ranks are compile-time constants (decision 0001), the resolution is not: 8^3 will do.
+            # Ranks are compile-time constants (decision 0001), but the resolution is not, so 8^3 suffices.
             capacities = self._capacities(CapacityLevel(8, density_rank, color_rank, 8, 8, degree))
             parts = first_parts(settings.kinds, *capacities, generator)
             scratch.append(RadianceField(self.space, *parts, OccupancyGrid(8), 1 / 8))
@@ -278,15 +278,15 @@ class Fitter:
     def _check(self) -> None:
         state, search = self.state, self.search
         begun = time.perf_counter()
-        # On a GPU, steps still in flight belong to the training before this evaluation, so their time is counted here.
+        # On a GPU, steps still in flight belong to the training before this evaluation, so their time counts here.
         self.engine.settle()
         state.seconds += self.group.of_first(time.perf_counter() - begun)
         self.engine.agree()
         begun = time.perf_counter()
         quality = self.held_out_psnr()
         self.checks, self.check_seconds = self.checks + 1, time.perf_counter() - begun
-        # A fall this deep is not noise: the fit is collapsing, and more training would make it worse.
-        fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0  # NaN counts as a fall
+        # A loss this large is not noise: the fit is collapsing, and more training would make it worse.
+        fallen = not min(state.best, ROUNDING_PSNR) - quality <= 2.0  # true for NaN
         judging = EXPOSURE_FROM <= self.progress <= self.settings.held_out_until and state.stops != []
         if self.exposures is not None and judging and not fallen and math.isfinite(quality):
             quality = self.balance(self.exposures, quality)
@@ -318,7 +318,7 @@ class Fitter:
         state.decided |= search.settled
 
     def _stay(self, quality: float) -> None:
-        """End growth: the field is as exact as its photos."""
+        """End growth: the field is as precise as its photos."""
         self.state.growth_ended = True
         self.state.decisions.append(
             f"staying at {self.search.name(self.search.level)}: "
@@ -326,13 +326,13 @@ class Fitter:
         )
 
     def _grow(self, quality: float) -> None:
-        """Put the next level on trial."""
+        """Start the trial of the next level."""
         self._keep()
         self.state.best = max(self.state.best, quality)
         self.resize(self.search.grow(quality, self.parameters, self.progress))
 
     def _judge(self, quality: float) -> float:
-        """Keep or drop the level on trial; the held-out quality of the field that remains."""
+        """Keep or drop the level on trial; return the held-out quality of the resulting field."""
         state, before = self.state, self.search.trial.before
         kept, text = self.search.judge(quality, self.parameters)
         state.decisions.append(text)
@@ -346,7 +346,7 @@ class Fitter:
         return before
 
     def _prune(self, what: str, quality: float) -> float:
-        """Prune a part of the field unless the views miss it; the held-out quality of the field that remains."""
+        """Prune a part of the field unless the views need it; return the held-out quality of the resulting field."""
         search, state, before = self.search, self.state, self.parameters
         self._keep()
         self.resize(search.pruned(what))
@@ -357,7 +357,7 @@ class Fitter:
             self._go_back()
             self.on_say(text)
             return quality
-        # What is refused is never trained: its kernels need not be compiled.
+        # A rejected pruning is never trained, so its kernels need not be compiled.
         self.warm_up_levels([search.level])
         state.best = reduced
         self._note_quality(reduced)
@@ -386,22 +386,22 @@ class Fitter:
     # -- snapshots --------------------------------------------------------------------------------------------------
 
     def _now(self) -> Snapshot:
-        """A snapshot; the next step overwrites its arrays."""
+        """Return a snapshot; the next step overwrites its arrays."""
         return Snapshot(self.field.describe(), self.field.arrays() | self.engine.moments())
 
     def _note_quality(self, quality: float) -> None:
-        """Record the quality, dB: of held-out views, or of views that are trained on."""
+        """Record the quality, dB, of held-out views or of views that are trained on."""
         if math.isfinite(quality):
             self.state.quality["held out" if self.judging else "trained on"] = round(quality, 3)
 
     def _go_back(self) -> None:
-        """Restore the anchor, and its quality."""
+        """Restore the anchor and its quality."""
         assert self._anchor is not None
         self.state.quality = dict(self.state.anchor_quality)
         self._restore(self._anchor)
 
     def _keep(self) -> None:
-        """Make the present field the anchor. The old anchor goes first: there may not be memory for both."""
+        """Make the current field the anchor. The old anchor is freed first: memory may not suffice for both."""
         self.state.anchor_quality = dict(self.state.quality)
         self._anchor, now = None, self._now()
         self._anchor = Snapshot(now.field, {k: v.copy() for k, v in now.arrays.items()})
@@ -414,7 +414,7 @@ class Fitter:
         self.engine.restore_moments(arrays)
 
     def checkpoint(self) -> tuple[dict, dict[str, np.ndarray]]:
-        """(JSON, arrays) to resume from; the next step overwrites the arrays."""
+        """Return (JSON, arrays) to resume from; the next step overwrites the arrays."""
         now = self._now()
         data = {"state": self.state.as_json(), "field": now.field}
         arrays = {f"now.{k}": v for k, v in now.arrays.items()}
@@ -429,7 +429,7 @@ class Fitter:
         # The search holds a reference to the state, which has just been replaced.
         self.search.state = self.state
         if self.state.stops:
-            # Photos are not in a checkpoint: correct them again, or the held-out PSNR would jump.
+            # Checkpoints do not contain photos: correct them again, or the held-out PSNR would jump.
             self._expose(self.state.stops)
         self._restore(Snapshot.of(data["field"], arrays, "now."))
         if "anchor" in data:

@@ -1,4 +1,4 @@
-"""What a step of a fit does, by the used fraction of the budget."""
+"""The schedule of a fit: each step's parameters, by the spent fraction of the budget."""
 
 import numpy as np
 
@@ -7,21 +7,21 @@ from stylerf.training.fit.engine import Batch
 from stylerf.training.fit.settings import FitSettings, FitState
 
 # Of the budget:
-EXPOSURE_FROM = 0.1  # before, a field is brighter or darker than its photos for other reasons
-SEEN_FROM = 0.2  # from here on, cells that no ray sees anything in for long are emptied
+EXPOSURE_FROM = 0.1  # earlier, a field is brighter or darker than its photos for other reasons
+SEEN_FROM = 0.2  # from here on, cells in which rays have not seen anything for a long time are emptied
 DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6
 OPACITY_FROM = 0.25
-USABLE_FROM = 0.5  # from here on the best field so far is worth more than an error
+USABLE_FROM = 0.5  # from here on, end with the best field so far instead of an error
 
 
 def batch_at(progress: float, state: FitState, settings: FitSettings, among: int, channels: int) -> Batch:
     """Return the next step.
 
     Args:
-        among: views that rays are drawn from, the first ones.
+        among: number of views, from the first, that rays are drawn from.
         channels: of the photos.
     """
-    # Every SMOOTH_EVERY-th step with that many times the weight: the same pull on average (decision 0011).
+    # Every SMOOTH_EVERY-th step, with SMOOTH_EVERY times the weight: the same on average (decision 0011).
     smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
     return Batch(
         step=state.step,
@@ -43,20 +43,20 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
 
 
 def rays_for(samples: int, samples_per_ray: float, before: int, most: int) -> int:
-    """Return the rays of the next step, for about `samples` samples in all; changes slowly, between 256 and `most`."""
-    # The count per ray falls as empty space is found; smoothed, so that one odd batch does not swing the next.
+    """Return the number of rays of the next step, 256 to `most`, for about `samples` samples; changes slowly."""
+    # Samples per ray decrease as empty space is found; smoothed, so that one unusual batch has little effect.
     wanted = samples / max(samples_per_ray, 1.0)
     return int(np.clip(0.8 * before + 0.2 * wanted, 256, most))
 
 
 def refresh_every(step: int) -> int:
-    """Return the steps between updates of the occupancy grid.
+    """Return the number of steps between updates of the occupancy grid.
 
-    Often while the density changes fast and each update makes steps cheaper, seldom once it is stable.
+    Frequent while the density changes fast and each update makes steps cheaper, rare once it is stable.
     """
     return 8 if step < 64 else 16 if step < 300 else 64
 
 
 def _rise(progress: float, begin: float, end: float) -> float:
-    """0 before `begin`, 1 after `end`, linear between."""
+    """Return a linear ramp: 0 before `begin`, 1 after `end`."""
     return min(1.0, max(0.0, (progress - begin) / (end - begin)))

@@ -1,7 +1,7 @@
-"""Cells of the occupancy grid that training rays see something in, and those that they have not for long.
+"""Tracks in which cells of the occupancy grid training rays have recently seen something.
 
-Density that no training ray gives weight to explains no photo: it is inside or behind surfaces, or was left in front of
-them when they formed. Marching through it takes time, and new views see it as haze.
+Density that gets no weight from any training ray explains no photo: it is inside or behind surfaces, or was left in
+front of them when they formed. Marching through it takes time, and new views see it as haze.
 """
 
 from typing import Self
@@ -13,11 +13,11 @@ import torch.nn.functional as F
 from stylerf import validation
 from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 
-PATIENCE = 0.15  # of the budget; a cell that is not seen for so long is empty
+PATIENCE = 0.15  # of the budget; a cell that is not seen for this long counts as empty
 
 
 class SeenCells:
-    """For how long no training ray has seen something in each cell.
+    """For each cell, how long ago a training ray has last seen something in it.
 
     Attributes:
         cells: Resolution of the grid per axis.
@@ -32,7 +32,7 @@ class SeenCells:
 
     @classmethod
     def restore(cls, arrays: dict[str, np.ndarray], cells: int, device: torch.device | str = "cpu") -> Self | None:
-        """From arrays() of `cells` per axis; None if there were none. Raises InvalidValue for wrong arrays."""
+        """Restore from arrays() with `cells` per axis, or return None if absent. InvalidValue if they are invalid."""
         if "seen.ages" not in arrays:
             return None
         made = cls(cells, device)
@@ -41,11 +41,11 @@ class SeenCells:
         return made
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays of a checkpoint."""
+        """Return the arrays for a checkpoint."""
         return {"seen.ages": self.ages.cpu().numpy(), "seen.marked": self.marked.cpu().numpy()}
 
     def resized(self, cells: int) -> "SeenCells":
-        """The same at another resolution, a whole multiple of this one."""
+        """Return a copy at another resolution, an integer multiple of this one."""
         made = SeenCells(cells, self.ages.device)
         for old, new in ((self.ages, made.ages), (self.marked, made.marked)):
             grid = old.to(torch.float32).view(1, 1, self.cells, self.cells, self.cells)
@@ -53,7 +53,7 @@ class SeenCells:
         return made
 
     def update(self, elapsed: float, group: ProcessGroup = SINGLE_PROCESS) -> None:
-        """Let `elapsed`, a fraction of the budget, pass for cells that no process has marked since the last update."""
+        """Age cells that no process has marked since the last update by `elapsed`, a fraction of the budget."""
         marks = self.marked.to(torch.int32)  # uint8 would overflow in the sum over 256 processes
         group.add(marks)
         self.ages += elapsed
@@ -61,9 +61,9 @@ class SeenCells:
         self.marked.zero_()
 
     def unseen(self) -> torch.Tensor:
-        """Cells [cells^3] bool that were not seen lately and touch none that was: surfaces may still move a little."""
+        """Return [cells^3] bool: cells not seen recently, nor adjacent to any that were: surfaces may still move."""
         near = (self.ages < PATIENCE).view((self.cells,) * 3)
-        for axis in range(3):  # a cube's maximum, axis by axis
+        for axis in range(3):  # maximum over a 3^3 cube, axis by axis
             own, rest = near, self.cells - 1
             near = own.clone()
             near.narrow(axis, 1, rest).logical_or_(own.narrow(axis, 0, rest))

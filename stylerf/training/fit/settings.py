@@ -32,12 +32,12 @@ class CapacityLevel:
     """One capacity.
 
     Attributes:
-        resolution: Vertices per axis of a cubic box (hash grid: most cells per side).
+        resolution: Vertices per axis of a cubic box (hash grid: maximum cells per side).
         density_rank, color_rank: Ranks of vm parts.
         cells: Cells per side of the occupancy grid.
         table_bits: log2 of a hash level's entries.
         degree: Highest degree of a vm color's spherical harmonics.
-        color_resolution: Resolution of the color, 0 if it is the density's.
+        color_resolution: Resolution of the color; 0: the density's.
     """
 
     resolution: int
@@ -56,7 +56,7 @@ class CapacityLevel:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Kinds of a field's parts: density and color vm, hash or voxel; head linear or mlp. hash_levels: of hash grids."""
+    """Kinds of a field's parts. density, color: vm, hash or voxel. head: linear or mlp. hash_levels: of hash grids."""
 
     density: str = "vm"
     color: str = "vm"
@@ -65,44 +65,44 @@ class Kinds:
 
 
 # Few ranks at first: ranks added later start where the error is. On the finest grid, a density with half the ranks and
-# a coarser color hold as much, and steps take less time (decision 0040).
+# a coarser color are just as good, and steps take less time (decision 0040).
 LEVELS = (
     CapacityLevel(64, 8, 16, table_bits=16),
     CapacityLevel(128, table_bits=17),
     CapacityLevel(192, table_bits=17),
     CapacityLevel(256, 8, table_bits=18, color_resolution=176),
 )
-# With colors as fine as the density, for photos of an object that hold more detail than the last of LEVELS.
+# With colors as fine as the density, for photos of an object with more detail than the last of LEVELS can represent.
 FULL = CapacityLevel(256, 8, table_bits=18)
-# For photos of an object that hold more detail than FULL can: 1 dB on lego at 800x800 after 300 s (decision 0040).
+# For photos of an object with more detail than FULL can represent: 1 dB on lego at 800x800 after 300 s (decision 0040).
 LARGE = CapacityLevel(384, table_bits=18)
-# A contraction spends half of each axis on the center, where a finer density still helps. BRIEF: for a short budget.
+# A contraction spends half of each axis on the center, where a finer density still helps. BRIEF: for short budgets.
 BEYOND = CapacityLevel(384, 8, table_bits=18)
 BEYOND_BRIEF = replace(BEYOND, color_resolution=256)
 
-# The last level of a forward-facing capture, finer in its colors than FULL (decision 0067); SHARP: for photos that hold
-# more detail (decision 0055).
+# The last level of a forward-facing capture, with finer colors than FULL (decision 0067). SHARP: for photos with more
+# detail (decision 0055).
 FINE = replace(FULL, color_resolution=352)
 SHARP = replace(FULL, color_resolution=480)
 
-# Cells per side of a capture's occupancy grid, from levels of this resolution on.
+# Cells per side of a capture's occupancy grid, for levels of at least this resolution.
 CAPTURE_CELLS, FINER_FROM = 128, 192
 
 
 def levels_for(kinds: Kinds, space: str, pixels: int, brief: bool = False) -> tuple[CapacityLevel, ...]:
-    """The levels that a fit tries.
+    """Return the levels that a fit tries.
 
     Args:
         kinds: Of the field's parts.
-        space: Kind of its warp.
+        space: Kind of its space warp.
         pixels: Longest side of the photos.
-        brief: Whether there is no time for the finest colors of a capture.
+        brief: Whether the budget is too short for the finest colors of a capture.
     """
     if kinds.head != "linear":
-        # The network behind the color has one width, so that the first level needs all ranks.
+        # The color's MLP head has a fixed input width, so the first level needs all ranks.
         return (replace(LEVELS[0], color_rank=FULL.color_rank), *LEVELS[1:3], FULL)
     if kinds == Kinds() and space == "contraction":
-        # 256^3 seems to gain nothing, although 384^3 then would (decision 0060).
+        # 256^3 appears to gain nothing, although 384^3 would (decision 0060).
         return (*LEVELS[:3], BEYOND_BRIEF if brief else BEYOND)
     if kinds.color == "vm" and space == "frustum" and pixels >= 3 * FULL.resolution:
         return (*LEVELS[:3], FULL, SHARP)
@@ -115,7 +115,7 @@ def levels_for(kinds: Kinds, space: str, pixels: int, brief: bool = False) -> tu
 
 
 def cells_for(levels: tuple[CapacityLevel, ...], space: str) -> tuple[CapacityLevel, ...]:
-    """Levels of a capture with finer occupancy from FINER_FROM on: rays through it skip more (decision 0047)."""
+    """Return levels with a finer occupancy grid from FINER_FROM on for captures: rays skip more (decision 0047)."""
     if space == "box":
         return levels
     return tuple(replace(level, cells=CAPTURE_CELLS) if level.resolution >= FINER_FROM else level for level in levels)
@@ -129,9 +129,9 @@ def capacities_at(
     occupancy: OccupancyGrid | None = None,
     degree: int = 1,
 ) -> tuple[Capacity, Capacity]:
-    """A level's capacities (density, color) in a space.
+    """Return a level's capacities (density, color) in a space.
 
-    finest: resolution of the last level. degree: the highest wanted.
+    finest: resolution of the last level. degree: maximum degree of the spherical harmonics.
     """
 
     def of(part: CapacityLevel, size: np.ndarray) -> Capacity:
@@ -154,7 +154,7 @@ def capacities_at(
 def first_parts(
     kinds: Kinds, density: Capacity, color: Capacity, generator: np.random.Generator
 ) -> tuple[GrowingDensity, GrowingColor]:
-    """Initial (density, color) of these capacities."""
+    """Return the initial (density, color) with these capacities."""
     first: GrowingDensity
     if kinds.density == "vm":
         first = VmDensity.create(density.size, density.density_rank, generator)
@@ -170,47 +170,47 @@ def first_parts(
 def grown_parts(
     field: RadianceField, density: Capacity, color: Capacity, generator: np.random.Generator
 ) -> tuple[GrowingDensity, GrowingColor]:
-    """(density, color) of a field at these capacities."""
+    """Return (density, color) of a field, grown to these capacities."""
     if not (isinstance(field.density, GrowingDensity) and isinstance(field.color, GrowingColor)):
         raise InvalidValue(
-            f"a field of {field.density.kind} density and {field.color.kind} color cannot change its size"
+            f"a field with {field.density.kind} density and {field.color.kind} color cannot change its size"
         )
     return field.density.grown(density, generator), field.color.grown(color, generator)
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a field is fitted.
+    """Settings of a fit.
 
     Attributes:
-        seconds, steps: Budget: time, or steps if over 0.
-        samples: Density samples per step; the number of rays follows, so that early fog does not slow steps down.
-        rate: Learning rate in value units per step; falls to `final_rate` of itself.
+        seconds, steps: Budget: time, or steps if positive.
+        samples: Density samples per step; the number of rays is adjusted to it, so early fog does not slow steps down.
+        rate: Learning rate in value units per step; decays by the factor `final_rate`.
         smoothness: Weights of the planes' total variation (density, color).
         near_scaling_distance: Distance, scene units, below which gradients of samples are scaled by the squared
-            distance, against floaters at the cameras; 0: never.
-        kinds: What the field is made of.
+            distance, to avoid floaters at the cameras; 0: never.
+        kinds: Of the field's parts.
         levels: Capacities to try, coarse to fine.
         level_ends: Fractions of the budget at which the trial of the next level begins, and that of the last ends.
-        level_max_steps: Steps, counted from the start, at which each level ends at the latest; empty: no maximum.
-        held_out_until: Fraction of the budget from which the held-out views are trained on as well, unless everything
-            is decided before (1: never).
-        prunings: What to try to prune afterwards (capacity_search.PRUNINGS).
-        min_gain: dB that held-out views must gain for a larger field.
+        level_max_steps: Step, counted from the start, by which each level ends; empty: no limit.
+        held_out_until: Fraction of the budget from which held-out views are trained on as well, unless everything is
+            decided earlier (1: never).
+        prunings: What to try to prune after growth (capacity_search.PRUNINGS).
+        min_gain: Gain of held-out views in dB required for a larger field.
         background: white, black, random or none.
-        lit_share: Fraction of rays that go through pixels near something opaque.
-        force_growth: Take every level, whatever it gains.
+        lit_share: Fraction of rays through pixels near objects.
+        force_growth: Use every level, regardless of its gain.
         opacity: Final weight of the opacity prior (engine.opacity_gradient). It rises from 0 after the first quarter of
             the budget, so that it cannot suppress what has not appeared yet.
         visual_hull: Fraction of the training views that must show a cell of a box as empty, by their alpha, to exclude
             it (visual_hull.clear_cells; 0: exclude none).
-        coverage: Weight of the squared error of alpha beside that of the colors, for cut-out photos.
-        distortion: Final weight of the rays' distortion (kernels/cpu/compositing.distortion_backward), which gathers a
-            ray's weight at one depth. It rises from 0 between DISTORTION_FROM and DISTORTION_FULL of the budget, once
-            colors have formed.
-        least_weight: Weight that a sample of a training ray needs for its cell to stay; cells without any for long are
-            emptied (seen_cells.py; 0: none are).
-        exposure: on, off, or auto: bring photos to one exposure if they clearly differ (exposure.py).
+        coverage: Weight of the squared error of alpha relative to that of colors, for cut-out photos.
+        distortion: Final weight of the distortion loss (kernels/cpu/compositing.distortion_backward), which
+            concentrates a ray's weight at one depth. It rises from 0 between DISTORTION_FROM and DISTORTION_FULL of the
+            budget, once colors have formed.
+        least_weight: Weight that a sample of a training ray needs to keep its cell; cells without any for a long time
+            are emptied (seen_cells.py; 0: none).
+        exposure: on, off, or auto: correct photos to a common exposure if they clearly differ (exposure.py).
     """
 
     seconds: float = 300.0
@@ -244,9 +244,9 @@ class Trial:
     """A level on trial.
 
     Attributes:
-        before: dB of the field before it.
-        level, parameters: Capacity before it, and number of parameters.
-        began_at, extended_until: Progress at which it began, and to which it is extended.
+        before: Quality of the previous field, dB.
+        level, parameters: Capacity and number of parameters of the previous field.
+        began_at, extended_until: Progress at which the trial began, and to which it is extended.
     """
 
     before: float
@@ -258,35 +258,35 @@ class Trial:
 
 @dataclass
 class FitState:
-    """Everything that a checkpoint holds beside the arrays."""
+    """The state in a checkpoint, apart from arrays."""
 
     step: int = 0
     seconds: float = 0.0
     level: int = 0
     growth_ended: bool = False
-    pruned: dict[str, int] = field(default_factory=dict)  # changed fields of the level
-    level_gain: float | None = None  # dB by which the present level was kept; None: there was no growth
+    pruned: dict[str, int] = field(default_factory=dict)  # changed attributes of the level
+    level_gain: float | None = None  # dB gained by the current level in its trial; None: no growth
     decided: bool = False  # nothing is left to try
-    rejected: list[str] = field(default_factory=list)  # prunings that lost too much
-    unpruned: float | None = None  # best held-out dB from which anything was pruned
+    rejected: list[str] = field(default_factory=list)  # prunings that cost too much quality
+    unpruned: float | None = None  # best held-out dB before any pruning
     trial: Trial | None = None
-    sizes: list[dict] = field(default_factory=list)  # what each change of size brought
+    sizes: list[dict] = field(default_factory=list)  # effect of each change of size
     rate_scale: float = 1.0
     rollbacks: int = 0
     parts: int = 1
     rays: int = 1024
-    drawn: int = 0  # rays of all steps before
+    drawn: int = 0  # number of rays in all previous steps
     best: float = -math.inf
     quality: dict[str, float] = field(default_factory=dict)  # dB of the field, on views `held out` and `trained on`
-    anchor_quality: dict[str, float] = field(default_factory=dict)  # the same of the anchor
-    ended_at: float | None = None  # fraction of the budget after which no rollbacks were left
+    anchor_quality: dict[str, float] = field(default_factory=dict)  # the same for the anchor
+    ended_at: float | None = None  # fraction of the budget at which rollbacks ran out
     curve: list[dict] = field(default_factory=list)
     decisions: list[str] = field(default_factory=list)
     refreshed_at: float = 0.0  # progress at the last update of the occupancy grid
-    stops: list[float] | None = None  # overexposure of the photos; empty: all alike; None: not judged
+    stops: list[float] | None = None  # overexposure of the photos; empty: all equal; None: not estimated
 
     def shift(self, by: float) -> None:
-        """Add `by`, dB, to all qualities: photos were corrected, which would otherwise look like a fall or a gain."""
+        """Add `by`, dB, to all qualities: correcting photos would otherwise look like a loss or a gain."""
         self.best += by
         for known in (self.quality, self.anchor_quality):
             known.update({views: round(value + by, 3) for views, value in known.items()})
@@ -296,12 +296,12 @@ class FitState:
             self.trial.before += by
 
     def as_json(self) -> dict[str, Any]:
-        """As a JSON value."""
+        """Return a JSON value."""
         return asdict(self) | {"best": self.best if math.isfinite(self.best) else None}
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> "FitState":
-        """From as_json()."""
+        """Restore the state from as_json()."""
         state = FitState(**data)
         state.best = -math.inf if state.best is None else state.best
         if data["trial"] is not None:

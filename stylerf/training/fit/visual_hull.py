@@ -1,4 +1,4 @@
-"""Cells that cut-out photos show to be empty: outside the object's visual hull (Laurentini 1994)."""
+"""Find cells outside an object's visual hull (Laurentini 1994), which cut-out photos show to be empty."""
 
 from collections.abc import Iterable
 
@@ -8,24 +8,24 @@ from stylerf.geometry.cameras import Camera
 from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.kernels.cpu.photos import count_clear
 
-EMPTY = 8  # alpha, of 255, up to which a pixel is empty: compressed masks leave some
+EMPTY = 8  # alpha, of 255, up to which a pixel counts as empty: compressed masks are noisy
 
 
 def clear_cells(
     cameras: list[Camera], alphas: Iterable[np.ndarray], space: SpaceWarp, cells: int, share: float, threads: int
 ) -> np.ndarray:
-    """Cells [cells^3] bool of a box that at least `share` (0..1) of the views that see them, and at least two, clear.
+    """Return [cells^3] bool: cells of a box cleared by at least `share` (0..1) of the views that see them, and by two.
 
-    A view sees a cell that lies entirely in the image, and clears it if its alpha (uint8 [h, w]) is empty all over the
-    cell's bounding ball and a pixel around it. A single wrong or cut-off mask clears nothing.
+    A view sees a cell that projects entirely into the image, and clears it if its alpha (uint8 [h, w]) is empty all
+    over the cell's bounding ball and one pixel around it. A single wrong or truncated mask clears nothing.
     """
     corners = space.unwarp(np.array([[0.0, 0, 0], [1, 1, 1]]))
     low, width = corners[0].astype(np.float32), ((corners[1] - corners[0]) / cells).astype(np.float32)
-    # The cell's bounding ball: its projection is easy to bound, and a larger ball only clears fewer cells.
+    # The cell's bounding ball: its projection is easy to bound, and the larger volume only clears fewer cells.
     radius = np.float32(np.linalg.norm(width) / 2)
     seen, clear = np.zeros(cells**3, np.int32), np.zeros(cells**3, np.int32)
     for camera, alpha in zip(cameras, alphas):
-        # Summed-area table: counting the opaque pixels of any rectangle takes four reads.
+        # Summed-area table: counting the opaque pixels of a rectangle takes four reads.
         sums = np.zeros((camera.height + 1, camera.width + 1), np.int32)
         np.cumsum(np.cumsum(alpha > EMPTY, 0, dtype=np.int32), 1, out=sums[1:, 1:])
         pose = np.ascontiguousarray(camera.world_from_camera[:3], np.float32)

@@ -1,7 +1,7 @@
-"""Stylize a scene with one image: its colors alone (ARF, Zhang et al. 2022), or its shapes too (DeSRF).
+"""Stylize a scene with one image: only its colors (ARF, Zhang et al. 2022), or its shapes too (DeSRF).
 
-Each step compares one rendered view with the style image. The gradient of the image goes back to rays of the view
-(deferred back-propagation), and through them to the new color and, if there is one, the deformation.
+Each step compares one rendered view with the style image. The gradient of the loss flows from the image to the view's
+rays (deferred back-propagation), and through them to the new color and the deformation, if any.
 """
 
 import math
@@ -43,11 +43,11 @@ MIRRORS, STROKES = 0.05, 0.02  # fractions of the memory
 class ViewLoss:
     """Compares views with the style image. Images are [3, h, w] over the background, on the extractor's device.
 
-    stride: pixels between positions of the deepest features that the method looks at; the extractor's if not given.
-    around: feature positions beside a silhouette that count too.
+    stride: stride in pixels of the deepest features that the method uses; by default the extractor's. around: how many
+    feature positions beyond a silhouette also count.
 
     Raises:
-        InvalidValue: The style image is so elongated that, at the views' size, features see nothing of it.
+        InvalidValue: The style image is so elongated that it is too small for the features at the views' size.
     """
 
     def __init__(
@@ -63,13 +63,13 @@ class ViewLoss:
         self._size = scene.cameras[0].height, scene.cameras[0].width
         self._strokes = stroke_sizes(s.stroke, s.stroke_by_depth)
         self._check_style_image()
-        # Two feature positions at least, also at half size: networks refuse smaller images.
+        # At least two feature positions, even at half size: networks reject smaller images.
         smallest = math.ceil(2 * (stride or extractor.stride) / s.feature_scale * (2 if s.coarse > 0 else 1))
         self.windows = [
             EVERYTHING if scene.fills_views else window_of(scene.coverage(view), smallest)
             for view in range(len(scene.cameras))
         ]
-        # On a GPU, half of what surfaces have left free: steps need memory too.
+        # On a GPU, half of what the surfaces left free: steps need memory too.
         self.memory = free_on(self.device, 2 * scene.problem.memory) / 2
         self._objective: StyleObjective | None = None
         self._content = self._new_cache()
@@ -83,13 +83,13 @@ class ViewLoss:
 
     @property
     def objective(self) -> StyleObjective:
-        """The loss at the present feature scale; features of the style image are computed at first use."""
+        """The loss at the current feature scale; the style image's features are computed on first use."""
         scene, s, style_image = self.scene, self.scene.settings, self.scene.style_image
         if style_image is None:
             raise InvalidValue("the style loss needs a style image")
         scale = s.feature_scale / 2 if scene.budget.progress < s.coarse else s.feature_scale
         if self._objective is None or self._objective.scale != scale:
-            self._content = self._new_cache()  # at another scale
+            self._content = self._new_cache()  # at the new scale
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
             self._objective = OBJECTIVES[s.loss](
                 self.extractor, style_image, self._size, *options, self.around, s.diversity, self._strokes, s.rotations,
@@ -106,13 +106,13 @@ class ViewLoss:
         least = 2 * self.extractor.stride
         if min(height, width) < least:
             raise InvalidValue(
-                f"the style image is too elongated: of {style_image.shape[2]}x{style_image.shape[1]} pixels, at the "
-                f"size of the views {width}x{height} are left, and {self.extractor.layers[-1]} needs {least} a side; "
+                f"the style image is too elongated: {style_image.shape[2]}x{style_image.shape[1]} pixels become "
+                f"{width}x{height} at the size of the views, and {self.extractor.layers[-1]} needs {least} per side; "
                 "crop it"
             )
 
     def content(self, view: int) -> Content | None:
-        """Content of the view's photo; None if no weight asks for it."""
+        """Return the content features of the view's photo; None if no weight needs them."""
         return self._content[view] if self.scene.settings.weights.need_photo else None
 
     def _new_cache(self) -> BoundedCache[Content]:
@@ -123,17 +123,17 @@ class ViewLoss:
         return BoundedCache(content, lambda made: made.bytes, len(self.scene.cameras), CONTENT * self.memory)
 
     def to_device(self, image: np.ndarray) -> Tensor:
-        """An image [h, w, 3] as [3, h, w] on the extractor's device."""
+        """Return an image [h, w, 3] as [3, h, w] on the extractor's device."""
         return torch.from_numpy(np.ascontiguousarray(image)).to(self.device).permute(2, 0, 1).contiguous()
 
     def coverage(self, view: int) -> Tensor | None:
-        """The scene's coverage of a view, [h, w]; None if all of it counts."""
+        """Return the scene's coverage of a view, [h, w]; None if every pixel counts."""
         if self.scene.fills_views:
             return None
         return torch.from_numpy(self.scene.coverage(view)).to(self.device)
 
     def of_view(self, view: int) -> ImageLoss:
-        """The loss of a view's image."""
+        """Return the loss function for a view's image."""
         objective, content = self.objective, self.moved(view, self.content(view))
         coverage, window = self.coverage(view), self.windows[view]
         objective.draw = self.scene.state.step
@@ -143,9 +143,9 @@ class ViewLoss:
         )
 
     def without_background(self, view: int, image: Tensor, alpha: Tensor | None) -> Tensor:
-        """The view's image [3, h, w], with the object mirrored beyond its silhouette instead of the background.
+        """Return the view's image [3, h, w] with the background replaced by the object, mirrored at its silhouette.
 
-        Where the silhouette may bend, the style image's mean color is behind it instead, so that it shows.
+        If the silhouette may move, the style image's mean color replaces it instead, so that the silhouette shows.
         """
         if not self.of_object or alpha is None:
             return image
@@ -155,17 +155,17 @@ class ViewLoss:
         return over(image, alpha, background, object_colors(image, alpha, self.mirror(view), background))
 
     def at_rest(self, view: int) -> Tensor:
-        """The coverage of a view before anything moved, [h, w]."""
+        """Return the coverage of a view before any deformation, [h, w]."""
         return torch.from_numpy(self.scene.fixed.alpha(view)).to(self.device)
 
     def mirror(self, view: int) -> Tensor:
-        """See mirror_pixels; of the object before anything moved."""
+        """Return mirror_pixels() of the object before any deformation."""
         return torch.from_numpy(self._mirrors[view]).to(self.device)
 
     def moved(self, view: int, content: Content | None) -> Content | None:
-        """Content with the colors and edges of the photo where the object is now.
+        """Return the content with the photo's colors and edges extended to where the object is now.
 
-        Beyond the photo's silhouette, a part that has grown would learn the color of the background.
+        Otherwise, parts that have grown beyond the photo's silhouette would learn the color of the background.
         """
         alpha, background = self.coverage(view), float(self.scene.background)
         if self.scene.deformer is None or not self.of_object or content is None or alpha is None:
@@ -176,16 +176,17 @@ class ViewLoss:
         return replace(content, colors=cell_colors(wanted), edges=luma_gradient(wanted).half())
 
 
-AROUND = 3  # feature positions beside a silhouette that may move: what stands out from it shows there, or is missing
-# Style steps in which the deformation's rate rises. Adam's first steps have no history, and weights of one sign move
-# together: the whole scene would slide by some cells, which a short stylization does not undo.
+AROUND = 3  # feature positions beyond a moving silhouette: they show what protrudes from it or is missing
+# Warm-up steps of the deformation's learning rate. Adam's first steps have no history, and weights of one sign move
+# together: the whole scene would shift by a few cells, which a short stylization does not undo.
 DEFORM_RAMP = 10
 
 
 class ViewStep:
-    """A step on one view: render it, take the gradient of its loss, add it to the scene's gradients.
+    """A step on one view: render it, differentiate its loss, and add to the scene's gradients.
 
-    loss_of_view: the loss of a view's image. to_device: an image [h, w, 3] as [3, h, w] where the loss wants it.
+    loss_of_view: returns the loss function for a view's image. to_device: converts an image [h, w, 3] to [3, h, w] on
+    the loss's device.
     """
 
     def __init__(
@@ -198,19 +199,19 @@ class ViewStep:
         self.last_renders: dict[int, np.ndarray] = {}
 
     def learn(self, generator: np.random.Generator) -> dict[str, float]:
-        """Add the gradients of the step's view; the parts of its loss."""
+        """Add the gradients of the step's view; return the parts of its loss."""
         scene, settings, view = self.scene, self.scene.settings, self.view_of_step()
         camera = scene.cameras[view]
         pixels = selected_pixels(settings.strategy, camera.height, camera.width, settings.dilation, generator)
         image, record = self.image(view, pixels)
-        # Deferred back-propagation (ARF): render without a graph, differentiate the loss by pixels, render chunks again
-        # and push their gradients through. Exact, and the graphs of features and field are never in memory together.
+        # Deferred back-propagation (ARF): render without a graph, differentiate the loss with respect to pixels, then
+        # render again in chunks and backpropagate. Exact, and the graphs of features and field never coexist in memory.
         gradient, parts = self.gradient(view, image)
         chosen = selected_gradient(gradient, pixels, settings.blur)
         if record is not None:
             scene.geometry.learn(record, chosen, scene.adam.gradients)
             return parts
-        # No jitter in stylization: the second render has the samples of the first, as the cached gradient requires.
+        # No jitter in stylization: the second pass has the same samples, as the cached gradient requires.
         for at in range(0, len(pixels), PIXELS_AT_ONCE):
             part = slice(at, at + PIXELS_AT_ONCE)
             _, record = scene.geometry.paint(view, pixels[part])
@@ -218,14 +219,14 @@ class ViewStep:
         return parts
 
     def view_of_step(self) -> int:
-        """The view of the present step: each shown view once per epoch, in a new order each time."""
+        """Return the view of the current step; each epoch visits every shown view once, in a new order."""
         scene = self.scene
         epoch, at = divmod(scene.state.step, len(scene.shown))
         order = np.random.default_rng([scene.problem.seed, 3, epoch]).permutation(len(scene.shown))
         return scene.shown[int(order[at])]
 
     def image(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, Record | None]:
-        """Premultiplied rgb of the whole view [h*w, 3], and the record of the selected pixels (None: render again)."""
+        """Return premultiplied rgb of the whole view [h*w, 3] and the selected pixels' record (None: render again)."""
         scene, settings = self.scene, self.scene.settings
         camera = scene.cameras[view]
         if len(pixels) == camera.width * camera.height:
@@ -239,14 +240,14 @@ class ViewStep:
         rendered, record = scene.geometry.paint(view, pixels)
         image = self.last_renders[view]
         if settings.strategy == "dilated":
-            # Others move by the interpolated change of the selected (decision 0014), which are then set exactly.
+            # Other pixels change by the interpolated change of the selected ones (decision 0014), which are set below.
             changes = rendered - image[pixels]
             image += spread_over_picture(changes, pixels, camera.height, camera.width, settings.dilation)
         image[pixels] = rendered
         return image, record
 
     def gradient(self, view: int, premultiplied: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
-        """dL/d(image) [h, w, 3] of premultiplied rgb [h*w, 3], and the parts of the loss."""
+        """Return dL/d(image) [h, w, 3] for premultiplied rgb [h*w, 3], and the parts of the loss."""
         scene, camera = self.scene, self.scene.cameras[view]
         rgb = premultiplied.reshape(camera.height, camera.width, 3)
         if not scene.field.opaque_background:
@@ -257,16 +258,16 @@ class ViewStep:
         return gradient.permute(1, 2, 0).contiguous().cpu().numpy(), parts
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a checkpoint."""
+        """Return the arrays for a checkpoint."""
         return {f"seen.{view}": image.astype(np.float32) for view, image in self.last_renders.items()}
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays()."""
+        """Restore the state from arrays()."""
         self.last_renders = {int(k[5:]): v.copy() for k, v in arrays.items() if k.startswith("seen.")}
 
 
 class Arf(StyleMethod[ArfSettings]):
-    """ARF; with a deformation in the scene, DeSRF."""
+    """ARF, or DeSRF if the scene has a deformation."""
 
     def __init__(self, scene: StyledScene[ArfSettings], extractor: FeatureExtractor) -> None:
         super().__init__(scene)
@@ -276,7 +277,7 @@ class Arf(StyleMethod[ArfSettings]):
     def step(self) -> dict[str, float]:
         scene, settings, step = self.scene, self.scene.settings, self.scene.state.step
         parts = self.view_step.learn(np.random.default_rng([scene.problem.seed, 4, step]))
-        # Both rates decay together; the deformation's also rises at first (decision 0041).
+        # Both rates decay together; the deformation's also has a warm-up (decision 0041).
         decay = settings.final_rate**scene.budget.progress
         scene.adam.step(settings.rate * decay)
         if scene.deformer is not None and isinstance(settings, DesrfSettings):

@@ -1,4 +1,4 @@
-"""How a stylization renders its scene: fixed surfaces that are only colored, or rays through a deforming field."""
+"""Rendering a scene during stylization: fixed surfaces that are only recolored, or rays through a deforming field."""
 
 from abc import ABC, abstractmethod
 from typing import Any, Generic, Protocol, TypeVar
@@ -19,43 +19,43 @@ from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.deform.deformer import Buffer, GridDeformer
 
 RAYS_AT_ONCE = 8192
-OPAQUE = 1e-2  # transmittance at which a ray ends
-Record = Any  # what paint() leaves for learn() of the same geometry
-Shaded = TypeVar("Shaded")  # rendered rays with what their gradients need
+OPAQUE = 1e-2  # transmittance at which a ray terminates
+Record = Any  # what paint() passes to learn() of the same geometry
+Shaded = TypeVar("Shaded")  # rendered rays with everything that their gradients need
 
 
 class Geometry(Protocol):
-    """Renders the pixels of views in the present colors, and takes the gradients back."""
+    """Renders pixels of views in the current colors and backpropagates their gradients."""
 
     def alpha(self, view: int) -> np.ndarray:
-        """[h, w]."""
+        """Return the view's alpha [h, w]."""
 
     def paint(self, view: int, pixels: np.ndarray) -> tuple[np.ndarray, Record]:
-        """Premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
+        """Return premultiplied rgb [n, 3] of pixels [n], and a record for learn()."""
 
     def learn(self, record: Record, gradients: np.ndarray, color_to: Any) -> None:
         """Add dL/d(color values) to an optimizer's buffer, from dL/d(rgb over the background) [n, 3]."""
 
 
 class Surfaces(Geometry, Protocol):
-    """A geometry that does not move. What learns is field.color, which looks the same from every direction."""
+    """A geometry that does not move. Only field.color is trained, which is view-independent."""
 
     field: RadianceField
 
     def new_adam(self, gradient_clip: float = 0.0) -> Optimizer:
-        """An optimizer of field.color, its moments at zero."""
+        """Return an optimizer for field.color with zero moments."""
 
     def collect(self) -> None:
-        """Copy what was learned into field.color."""
+        """Copy learned values into field.color."""
 
     def surface(self, view: int) -> PackedSurface:
-        """The samples of a view."""
+        """Return the samples of a view."""
 
 
 class FixedGeometry:
-    """Surfaces on the CPU: every view is marched once and its samples are kept, up to `memory` bytes.
+    """Surfaces on the CPU: every view is marched once and its samples are cached, up to `memory` bytes.
 
-    Those of the last view are kept in any case: a step asks for a view's surface several times.
+    The last view's samples are always kept, since a step needs a view's surface several times.
 
     weight_threshold: fraction of a ray's largest weight below which a sample is left out.
     """
@@ -75,7 +75,7 @@ class FixedGeometry:
     def new_adam(self, gradient_clip: float = 0.0) -> Adam:
         return Adam(self.field.color.values, self.field.color.groups(), self.threads, gradient_clip)
 
-    def collect(self) -> None: ...  # field.color itself learns
+    def collect(self) -> None: ...  # field.color itself is trained
 
     def _marched(self, view: int) -> PackedSurface:
         return surface_of(self.field, self.cameras[view], self.weight_threshold, self.threads)
@@ -83,7 +83,7 @@ class FixedGeometry:
     def surface(self, view: int) -> PackedSurface:
         if self._last is not None and self._last[0] == view:
             return self._last[1]
-        self._last = None  # before the march: never two surfaces beside the cache
+        self._last = None  # before marching: never two surfaces outside the cache
         found = self._surfaces[view]
         self._last = view, found
         return found
@@ -96,7 +96,7 @@ class FixedGeometry:
         color = self.field.color
         if isinstance(color, HashColor):
             colors = color.colors(points, None, self.threads)
-        else:  # the color below a region's own depends on the direction
+        else:  # the color beneath a region's own is view-dependent
             basis = harmonics(self.cameras[view].rays(pixels)[1], color.degree)
             colors = color.colors(points, basis, self.threads)
         out = np.empty((len(pixels), 3), np.float32)
@@ -111,17 +111,17 @@ class FixedGeometry:
         color_gradients = np.empty_like(points.x)
         if self.field.color_map is not None:
             gradients = gradients @ self.field.color_map.arrays()[0]
-        # Weights are fixed, so alpha has no gradient: a sample's color gets its weight times its ray's gradient.
+        # Weights are fixed, so alpha has no gradient; a sample's color gets its weight times its ray's gradient.
         shade_backward(points, gradients, color_gradients)
         self.field.color.backward(points, None, colors, color_gradients, color_to)
 
 
 class RayGeometry(ABC, Generic[Shaded, Buffer]):
-    """Rays through a deforming field, marched again each time, which learn its colors and its deformation.
+    """Rays through a deforming field, marched on every use, which train its colors and its deformation.
 
     weight_threshold: fraction of a ray's largest weight below which a sample is not colored. behind: color [3] behind
-    the field, which shows where a moving silhouette lets it; unused if the background is opaque. fixed: the
-    field before anything moved; a view that was not rendered yet has the alpha that it has there.
+    the field, revealed by a moving silhouette; unused if the background is opaque. fixed: the undeformed field, which
+    provides the alpha of views that have not been rendered yet.
     """
 
     rays_at_once = RAYS_AT_ONCE
@@ -142,7 +142,7 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
         self.alphas: dict[int, np.ndarray] = {}
 
     def alpha(self, view: int) -> np.ndarray:
-        """[h, w], each pixel as last rendered."""
+        """Return the view's alpha [h, w], each pixel as last rendered."""
         if view not in self.alphas:
             self.alphas[view] = self.fixed.alpha(view).ravel().copy()
         return self.alphas[view].reshape(self.cameras[view].height, self.cameras[view].width)
@@ -155,28 +155,28 @@ class RayGeometry(ABC, Generic[Shaded, Buffer]):
             chosen = pixels[part]
             out, rendered = self._rendered(camera, chosen)
             rgb[part] = out[:, :3]
-            # In place, a view into self.alphas: unselected pixels keep the alpha of their last render.
+            # In place, as a view into self.alphas: unselected pixels keep the alpha of their last render.
             alphas[chosen] = np.clip(out[:, 3], 0, 1)
             record.append((part, rendered))
         return rgb, record
 
     def learn(self, record: list[tuple[slice, Shaded]], gradients: np.ndarray, color_to: Buffer) -> None:
-        """Add dL/d(color values), and dL/dD to the deformer's gradients, from dL/d(rgb over that color) [n, 3]."""
+        """Add dL/d(color values), and dL/dD to the deformer's gradients, from dL/d(rgb over `behind`) [n, 3]."""
         for part, rendered in record:
             to = np.zeros((len(gradients[part]), 5), np.float32)
             to[:, :3] = gradients[part]
             if not self.field.opaque_background:
-                # The image is rgb + (1 - alpha) behind: a moving silhouette learns by what it uncovers.
+                # The image is rgb + (1 - alpha) behind: a moving silhouette learns from what it uncovers.
                 to[:, 3] = -gradients[part] @ self.behind
             self._backward(rendered, to, color_to)
 
     @abstractmethod
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, Shaded]:
-        """Rendered pixels [n, 5], and what _backward needs."""
+        """Return rendered pixels [n, 5] and what _backward() needs."""
 
     @abstractmethod
     def _backward(self, rendered: Shaded, gradients: np.ndarray, color_to: Buffer) -> None:
-        """Add the gradients of values and grid, from dL/d(pixels) [n, 5]."""
+        """Add the gradients of color values and grid, from dL/d(pixels) [n, 5]."""
 
 
 class MovingGeometry(RayGeometry[Rendered, np.ndarray]):

@@ -1,4 +1,4 @@
-"""How a stylization renders its scene on a GPU: as geometry.py, all arrays staying on the device."""
+"""Rendering a scene during stylization on a GPU; like geometry.py, with all arrays on the device."""
 
 import numpy as np
 import torch
@@ -21,14 +21,14 @@ from stylerf.training.deform.deformer_gpu import GpuDeformer
 from stylerf.training.stylize.geometry import OPAQUE, RayGeometry
 
 RAYS_AT_ONCE = 1 << 17
-MEMORY_BYTES = 8e9  # of kept surfaces, where no GPU says what it has
+MEMORY_BYTES = 8e9  # for cached surfaces, if the device is not a GPU
 
 
 class GpuFixedGeometry:
-    """Surfaces on `device`: numpy in and out, everything between on the device.
+    """Surfaces on `device`: numpy in and out, everything in between on the device.
 
-    What learns is a copy of field.color, made by new_adam(); collect() copies it back. Surfaces are kept in up to half
-    of the device's free memory; threads and memory are the CPU's, and unused.
+    new_adam() copies field.color for training; collect() copies it back. Surfaces are cached in up to half of the
+    device's free memory; `threads` and `memory` are for the CPU and unused.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class GpuFixedGeometry:
 
     @property
     def color(self) -> GpuColor:
-        """The color that learns, on the device, since new_adam()."""
+        """The trained color on the device; valid after new_adam()."""
         assert self._color is not None
         return self._color
 
@@ -65,7 +65,7 @@ class GpuFixedGeometry:
             self.field.color.values[:] = self._color.values.cpu().numpy()
 
     def _samples(self, view: int) -> tuple[Tensor, Tensor, Tensor]:
-        """(offsets [pixels + 1], x [n, 3], weights [n]) of a view, weights scaled so that each ray keeps its alpha."""
+        """Return a view's (offsets [pixels + 1], x [n, 3], weights [n]), weights scaled to keep each ray's alpha."""
         found = self._kept.get(view)
         if found is None and self._last is not None and self._last[0] == view:
             return self._last[1]
@@ -84,7 +84,7 @@ class GpuFixedGeometry:
             s = self._marched.march(rays, SAMPLES_PER_RAY, 1e-3, None)
             ray, n = s.ray_of.long(), len(rays.origins)
             shown = (s.weights > 0) & (s.weights >= self.weight_threshold * s.largest[ray])
-            sums = torch.zeros((2, n), device=self.device)  # weights of all samples, and of those kept
+            sums = torch.zeros((2, n), device=self.device)  # weights of all samples, and of the kept ones
             sums[0].index_add_(0, ray, s.weights)
             sums[1].index_add_(0, ray[shown], s.weights[shown])
             scale = torch.where(sums[1] > 0, sums[0] / sums[1].clamp(min=1e-30), 0.0)
@@ -104,7 +104,7 @@ class GpuFixedGeometry:
     def alpha(self, view: int) -> np.ndarray:
         if view not in self._alphas:
             camera, (offsets, _, weights) = self.cameras[view], self._samples(view)
-            # A ray's sum is a difference of two sums over the view so far, which cancels too many digits of float32.
+            # A ray's sum is a difference of cumulative sums over the view, which loses too many digits in float32.
             sums = torch.zeros(len(weights) + 1, dtype=torch.float64, device=self.device)
             torch.cumsum(weights.double(), 0, out=sums[1:])
             alpha = (sums[offsets[1:]] - sums[offsets[:-1]]).clamp(0, 1).float()
@@ -118,9 +118,9 @@ class GpuFixedGeometry:
         ends = torch.cumsum(counts, 0)
         starts, n = ends - counts, int(ends[-1]) if len(pixels) else 0
         ray = torch.repeat_interleave(counts, output_size=n)
-        # Gathers the chosen rays' runs of samples: n is their total, starts are their places in the new order.
+        # Gather the chosen rays' runs of samples: n is their total, `starts` their positions in the new order.
         place = torch.arange(n, device=self.device) + (offsets[chosen] - starts)[ray]
-        # Stands for all fields that compositing does not read, such as distances: nothing may write to it.
+        # Placeholder for all fields that compositing does not read, such as distances; must not be written to.
         zero = torch.zeros(max(n, len(pixels)), device=self.device)
         own = weights[place].contiguous()
         samples = GpuSamples(
@@ -143,7 +143,7 @@ class GpuFixedGeometry:
 
 
 class GpuMovingGeometry(RayGeometry[GpuRendered, Tensor]):
-    """Rays on the device of `deformer`; pixels and their gradients are numpy. What learns are the colors of `fixed`."""
+    """Rays on the device of `deformer`; pixels and their gradients are numpy. Trains the colors of `fixed`."""
 
     deformer: GpuDeformer
     fixed: GpuFixedGeometry
@@ -151,7 +151,7 @@ class GpuMovingGeometry(RayGeometry[GpuRendered, Tensor]):
 
     def _rendered(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, GpuRendered]:
         field = self.deformer.device_field
-        field.color = self.fixed.color  # each phase has its own copy
+        field.color = self.fixed.color  # every phase has its own copy
         rays = rays_of(camera, sent(pixels, field.device))
         rendered = field.render_rays(rays, min_transmittance=OPAQUE, weight_threshold=self.weight_threshold)
         return rendered.out.cpu().numpy(), rendered

@@ -1,4 +1,4 @@
-"""Stylize a photo in 2D by the loss that stylizes views in 3D: what the loss can do where no field limits it."""
+"""Stylize a photo in 2D with the loss used for views in 3D: what the loss can achieve without the limits of a field."""
 
 from functools import partial
 
@@ -15,7 +15,7 @@ from stylerf.training.stylize.arf import OBJECTIVES
 from stylerf.training.stylize.settings import ImageStyleSettings
 from stylerf.training.stylize.silhouettes import mirror_pixels, object_colors, over
 
-RATE = 0.03  # Adam's learning rate of the pixels, as for SNeRF's images
+RATE = 0.03  # Adam's learning rate for pixels, as for SNeRF's images
 
 
 def painted_photo(
@@ -28,17 +28,17 @@ def painted_photo(
     steps: int,
     seed: int = 0,
 ) -> np.ndarray:
-    """Optimize the pixels of a photo, with the color matching and the coarse first steps of the settings.
+    """Optimize the pixels of a photo, with the settings' color matching and coarse first steps.
 
     Args:
         photo: [h, w, 3] sRGB 0..1, over the background.
         mask: The object, [h, w] bool; the rest keeps its color. None for the whole photo.
         background: Gray level behind the object, 0..1.
         style_image: [3, h', w'] sRGB 0..1.
-        settings: Weights, loss, scales, color matching. Strokes have one size, settings.stroke.
-        extractor: Of the features that the loss compares.
-        steps: Of Adam, with a rate that falls linearly to 0; 60 and more show strokes.
-        seed: Of the style features that are kept.
+        settings: Weights, loss, scales, color matching. Strokes have a single size, settings.stroke.
+        extractor: Computes the features that the loss compares.
+        steps: Adam steps, with a learning rate that decays linearly to 0; strokes show from about 60.
+        seed: For the choice of style features.
 
     Returns:
         [h, w, 3] float32, 0..1.
@@ -92,7 +92,7 @@ def painted_photo(
 
 
 def _recolored(image: Tensor, style_colors: Tensor, alpha: Tensor | None) -> Tensor:
-    """Match the object's colors to those of a style image; what is around it stays."""
+    """Match the object's colors to those of a style image; its surroundings are unchanged."""
     weights = None if alpha is None else alpha.flatten()
     found = match_colors(image.flatten(1).T, style_colors.flatten(1).T, weights).image(image).float().clamp(0, 1)
     return found if alpha is None else torch.where(alpha > 0, found, image)

@@ -1,7 +1,7 @@
-"""Decompose a scene's colors into a palette (PaletteNeRF, Kuang et al. 2023); shapes and photos stay as they are.
+"""Decompose a scene's colors into a palette (PaletteNeRF, Kuang et al. 2023), with fixed shapes.
 
-The refit trains the direct color, diffuse and specular; then the palette's branch learns with it. Everything that a
-sample has is composited along its ray with the field's weights; losses are means over rays.
+The refit trains the direct color, diffuse and specular; then the palette branch is trained along with it. All
+quantities of samples are composited along rays with the field's weights; losses are means over rays.
 """
 
 from collections.abc import Callable
@@ -24,9 +24,9 @@ from stylerf.training.stylize.settings import REFIT, StyleSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
 SAMPLED_COLORS = 200_000  # pixels of the photos that the palette is extracted from
-FIGURE_VIEWS = 10  # that figures are taken of, as those of local edits
+FIGURE_VIEWS = 10  # used for figures, as for local edits
 PIXELS_AT_ONCE = 16384
-SHOWN = 0.5  # alpha from which a pixel shows the scene
+SHOWN = 0.5  # minimum alpha for a pixel to show the scene
 # PaletteNeRF: epochs 100 and 30 of 300 (30 000 steps, a hundred views).
 RELEASE, SMOOTH_FROM = 1 / 3, 0.1
 # PaletteNeRF's scene is two bounds wide, the cube one: 0.03 bounds, and distances by bounds squared over 0.005.
@@ -35,14 +35,14 @@ SMOOTH_REACH, SMOOTH_NEAR, SMOOTH_LIKE = 0.015, 4 / 0.005, 1 / 0.2
 
 @dataclass(frozen=True)
 class DecompositionWeights:
-    """Weights of the losses beside the two images' squared errors, as published except for sparsity (2e-4 there).
+    """Weights of the losses other than the two images' squared errors, as published except for sparsity (2e-4 there).
 
     Attributes:
         sparsity: sum w / sum w^2 - 1.
         offset: sum_i |delta_i|^2.
         view: |s|^2 of the specular part.
-        smooth: Differences of weights between near points of similar color.
-        guide: Distance to the weights that the palette's hull gives; falls to 0 at RELEASE.
+        smooth: Weight differences between nearby points of similar color.
+        guide: Distance to the weights given by the palette's hull; falls to 0 at RELEASE.
         drift: Distance of the palette from the extracted one, after RELEASE.
     """
 
@@ -55,10 +55,10 @@ class DecompositionWeights:
 
 
 def seen_colors(scene: StyledScene, generator: np.random.Generator) -> np.ndarray:
-    """A sample [n, 3] of what the photos show where the field is.
+    """Return a sample [n, 3] of the photos' colors where the field is visible.
 
     Raises:
-        InvalidValue: No view shows anything of the field.
+        InvalidValue: No view shows any part of the field.
     """
     found, each = [], -(-SAMPLED_COLORS // len(scene.cameras))
     for view in range(len(scene.cameras)):
@@ -68,12 +68,12 @@ def seen_colors(scene: StyledScene, generator: np.random.Generator) -> np.ndarra
         found.append(scene.problem.photos[view].reshape(-1, 3)[shown])
     colors = np.concatenate(found)
     if len(colors) == 0:
-        raise InvalidValue("no training view shows anything of the field: there are no colors to decompose")
+        raise InvalidValue("no training view shows any part of the field: there are no colors to decompose")
     return np.clip(colors, 0, 1)
 
 
 class PaletteNerf(StyleMethod[StyleSettings]):
-    """PaletteNeRF. color: the scene's, which began with the extracted palette."""
+    """PaletteNeRF. color: the scene's color, initialized with the extracted palette."""
 
     def __init__(
         self,
@@ -94,7 +94,8 @@ class PaletteNerf(StyleMethod[StyleSettings]):
     ) -> "PaletteNerf":
         """Extract a palette of `bases` colors (see palette_hull.extracted) and start from it.
 
-        new_color: From a generator, cells per side as wide as a pixel, and the palette [bases, 3].
+        new_color: Creates the color from a generator, the number of pixel-sized cells per cube side, and the palette
+        [bases, 3].
         """
         made: list[tuple[PaletteColor, ExtractedPalette]] = []
 
@@ -111,21 +112,21 @@ class PaletteNerf(StyleMethod[StyleSettings]):
     # -- steps ------------------------------------------------------------------------------------------------------
 
     def refit_step(self) -> dict[str, float]:
-        """Take one step of the direct color towards a photo; its mean squared error."""
+        """Take one step of the direct color on a photo; return its mean squared error."""
         parts = self._learn(2, False)
         if parts:
             self.scene.adam.step(self.scene.settings.refit_rate * 0.1**self.scene.budget.progress)
         return {"mse": parts.get("direct", 0.0)}
 
     def step(self) -> dict[str, float]:
-        """Take one step of everything on one view; the parts of its loss, `mse` that of the palette's image."""
+        """Take one step of all parts on one view; return the parts of its loss (`mse`: of the palette's image)."""
         s, parts = self.scene.settings, self._learn(3, True)
         if parts:
             self.scene.adam.step(s.rate * s.final_rate**self.scene.budget.progress)
         return parts or {"mse": 0.0}
 
     def _learn(self, stream: int, with_palette: bool) -> dict[str, float]:
-        """Add the gradient of random pixels of one view; no parts if the view shows nothing."""
+        """Add the gradient of random pixels of one view; return the parts of the loss, none if the view is empty."""
         scene = self.scene
         generator = np.random.default_rng([scene.problem.seed, stream, scene.state.step])
         view = int(generator.integers(len(scene.cameras)))
@@ -143,7 +144,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         return {name: float(value.detach()) for name, value in losses.items() if scales[name]}
 
     def _scales(self) -> dict[str, float]:
-        """The weight of each part of the loss at this step."""
+        """Return the weight of each part of the loss at this step."""
         w, done = self.weights, self.scene.budget.progress
         return {
             "direct": 1.0,
@@ -157,7 +158,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         }
 
     def _image_losses(self, seen: "_Seen", photo: np.ndarray, with_palette: bool) -> dict[str, Tensor]:
-        # The background moves to the photo's side, since what is composited is premultiplied.
+        # Composited colors are premultiplied, so the background is subtracted from the photo.
         target = torch.from_numpy(photo) - (1 - seen.alpha) * float(self.scene.background)
         parts = seen.parts
         direct = seen.composited(parts.diffuse + parts.specular) - target
@@ -166,7 +167,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
             "view": seen.composited(parts.specular.square().sum(1, keepdim=True)).mean(),
         }
         if with_palette:
-            # Detached: the specular part is learned by the direct image, or it would explain what the palette cannot.
+            # Detached: only the direct image trains the specular part, or it would explain what the palette cannot.
             mixed = seen.composited(parts.mixed(seen.palette) + parts.specular.detach()) - target
             images = seen.composited(parts.weights)
             guide = torch.from_numpy(self.extracted.weights_of(photo))
@@ -193,12 +194,12 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         for x, phi in seen.encoded:
             if phi.grad is not None:
                 gradients = phi.grad.contiguous().numpy()
-                # Twice if smoothness is on: for the samples and for the points beside them.
+                # Twice if smoothness is on: for the samples and for their neighbor points.
                 color.features.backward(color.table, x, np.arange(len(x)), gradients, to)
         assert seen.rest.grad is not None
         own = seen.rest.grad.numpy()
         if self.scene.budget.progress < RELEASE or self.scene.state.phase == REFIT:
-            # The palette stays as extracted until the mixing weights fit it (PaletteNeRF).
+            # The palette stays fixed until the mixing weights fit it (PaletteNeRF).
             own[: 3 * color.bases] = 0
         to[0, color.features.length :] += own
 
@@ -206,10 +207,10 @@ class PaletteNerf(StyleMethod[StyleSettings]):
 
     @torch.no_grad()
     def figures(self) -> dict:
-        """JSON of the result, on up to FIGURE_VIEWS views.
+        """Return figures of the result as JSON, on up to FIGURE_VIEWS views.
 
-        Palette, shares, sparsity L_sp and palette TV as local edits have them, and PSNR in dB against the photos over
-        the pixels that show the scene.
+        Palette, shares, sparsity L_sp and palette TV as for local edits, and the PSNR in dB against the photos over the
+        pixels that show the scene.
         """
         scene = self.scene
         errors, sparse, varied, shares, pixels = 0.0, [], [], [], 0
@@ -231,7 +232,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
         return figures | {"extraction_error": round(self.extracted.error, 5)}
 
     def _render(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """(weights [h, w, bases], premultiplied rgb [h, w, 3]) of a view, both composited."""
+        """Return a view's (weights [h, w, bases], premultiplied rgb [h, w, 3]), both composited."""
         alpha, parts = self.scene.fixed.alpha(view), []
         for at in range(0, alpha.size, PIXELS_AT_ONCE):
             seen = _Seen(self.scene, self.color, view, np.arange(at, min(at + PIXELS_AT_ONCE, alpha.size)))
@@ -242,7 +243,7 @@ class PaletteNerf(StyleMethod[StyleSettings]):
 
 
 class _Seen:
-    """The color part's quantities at pixels of a view, as a graph whose leaves are `rest` and the features."""
+    """The color part's quantities at pixels of a view, as an autograd graph with leaves `rest` and the features."""
 
     def __init__(self, scene: StyledScene[StyleSettings], color: PaletteColor, view: int, pixels: np.ndarray) -> None:
         self._color, self._threads, self._pixels = color, scene.problem.threads, len(pixels)
@@ -263,29 +264,29 @@ class _Seen:
         return color.parts(self.rest, phi, self._basis, apart=True)
 
     def beside(self, generator: np.random.Generator) -> tuple[Parts, Tensor]:
-        """(parts at points up to SMOOTH_REACH further along each axis, their squared distances in the cube [n])."""
+        """Return (parts at points randomly shifted by up to SMOOTH_REACH per axis, squared shifts [n] in the cube)."""
         moved = np.minimum(self.x + generator.random(self.x.shape, np.float32) * np.float32(SMOOTH_REACH), 1)
         return self._parts(moved)[0], torch.from_numpy(np.square(moved - self.x).sum(1))
 
     def composited(self, values: Tensor) -> Tensor:
-        """[pixels, k]: sum over each ray's samples of weight times values [n, k]."""
+        """Return [pixels, k]: the sum over each ray's samples of weight times values [n, k]."""
         out = torch.zeros(self._pixels, values.shape[1])
         return out.index_add(0, self._rays, self._weights * values)
 
 
 def roughness(parts: Parts, beside: Parts, away: Tensor) -> Tensor:
-    """sum_i (w_i - w'_i)^2 exp(-|dx|^2 / 0.005 bound^2 - |d diffuse|^2 / 0.2), [n]; away [n] is |dx|^2 in the cube."""
-    # Detached: the diffuse color must not grow unlike its neighbor to escape the smoothness.
+    """Return sum_i (w_i - w'_i)^2 exp(-|dx|^2 / 0.005 bound^2 - |d diffuse|^2 / 0.2), [n]; away: |dx|^2 [n], cube."""
+    # Detached: the diffuse color must not diverge from its neighbor's to escape the smoothness.
     unlike = (parts.diffuse - beside.diffuse).detach().square().sum(1)
     near = torch.exp(-SMOOTH_NEAR * away - SMOOTH_LIKE * unlike)
     return (parts.weights - beside.weights).square().sum(1) * near
 
 
 def picture_variation(weights: np.ndarray, alpha: np.ndarray, shown: np.ndarray) -> float:
-    """Palette TV of an image, as editing/palette_losses.weight_variation.
+    """Return the palette TV of an image, as editing/palette_losses.weight_variation does.
 
-    Squared differences of weights [h, w, M] of neighbors that are both shown, times both alphas squared, summed, over
-    the number of shown pixels.
+    The sum of squared differences of weights [h, w, M] between neighbors that are both shown, times both alphas
+    squared, divided by the number of shown pixels.
     """
     total, weights, alpha = 0.0, weights.astype(np.float64), alpha.astype(np.float64)
     for axis in (0, 1):

@@ -1,10 +1,10 @@
-"""Stylize a scene after one or a few stylized views of it (Ref-NPR, Zhang et al. 2023).
+"""Stylize a scene from one or a few stylized views of it (Ref-NPR, Zhang et al. 2023).
 
     refit       the new color learns the photos
-    reference   only if a reference is to be made: optimize the view's photo in 2D (style/image_stylization.py)
-    style       in each step, colors of the reference on its own rays and on rays of other views that see the same
-                surface (rendering/ray_registration.py), and one view by its correspondences with the reference
-                (style/reference_features.py); in the last quarter correspondences are sought between renders
+    reference   only if a reference must be made: optimize the view's photo in 2D (style/image_stylization.py)
+    style       each step trains on the reference's colors, on its own rays and on rays of other views that see the same
+                surface (rendering/ray_registration.py), and on one view by its correspondences with the reference
+                (style/reference_features.py); in the last quarter, correspondences are searched between renders
 
 The loss of a step is w (MSE of the references' pixels + MSE of registered pixels) + style + content + color +
 variation; in the last quarter of the style steps, w (...) + 0.2 style + variation.
@@ -30,15 +30,15 @@ from stylerf.training.stylize.scene import CONTENT, ObjectPhotos, PhaseBudget, S
 from stylerf.training.stylize.settings import STYLE, RefNprSettings
 from stylerf.training.stylize.trainer import StyleMethod
 
-LATE_WEIGHT = 0.2  # of the style distance once matches are sought between renders (Ref-NPR)
-REFERENCE_SHARE = 1 / 3  # of the budget, that making references may take
-EMPTY = 0.01  # coverage below which nothing of an object is seen
+LATE_WEIGHT = 0.2  # of the style distance once renders are matched with renders (Ref-NPR)
+REFERENCE_SHARE = 1 / 3  # maximum fraction of the budget for making references
+EMPTY = 0.01  # coverage below which a pixel shows no object
 REGISTERED = 0.1  # of the memory
 Registered = tuple[np.ndarray, np.ndarray]  # pixels [n], colors [n, 3]
 
 
 class ReferenceBudget(PhaseBudget):
-    """The budget of `made` references and of the style steps after them."""
+    """The budget for making `made` references and for the style steps after them."""
 
     scene: StyledScene[RefNprSettings]
 
@@ -48,7 +48,7 @@ class ReferenceBudget(PhaseBudget):
 
     @property
     def steps_of_each(self) -> int:
-        """Steps of each reference that is made."""
+        """Steps per reference to be made."""
         s = self.scene.settings
         most = max(1, int(REFERENCE_SHARE * s.steps / self.made)) if s.steps else s.reference_steps
         return min(s.reference_steps, most)
@@ -72,22 +72,22 @@ class ReferenceBudget(PhaseBudget):
         making = state.counts.get("painting_ms", 0) / 1000
         if s.steps:
             return min(1.0, state.step / self.steps)
-        left = max(s.seconds - making, 1e-3)  # one slow step can use up the budget; then one style step is taken
+        left = max(s.seconds - making, 1e-3)  # if one slow step uses up the budget, take one style step
         return min(1.0, (state.seconds - making) / left)
 
 
 class RefNpr(StyleMethod[RefNprSettings]):
-    """Ref-NPR. Making references counts towards the budget; shapes stay.
+    """Ref-NPR. Making references counts towards the budget; shapes are fixed.
 
-    With a region, references are that part of their images, and the photos beside it.
+    With a region, only that part of the reference images is used; around it, references show the photos.
 
     Args:
-        extractor: Makes references, by the objective of the style image (settings.loss).
-        references: By training view, its stylized image [h, w, 3] over the background; None: it is made here.
+        extractor: Used to make references, with the objective of the style image (settings.loss).
+        references: By training view, its stylized image [h, w, 3] over the background, or None if it is to be made.
         matching_extractor, coarse_extractor: See style/reference_features.ReferenceObjective.
 
     Raises:
-        InvalidValue: The field is displaced, or a reference shows nothing of the region or object.
+        InvalidValue: The field is displaced, or a reference shows no part of the region or object.
     """
 
     def __init__(
@@ -110,9 +110,9 @@ class RefNpr(StyleMethod[RefNprSettings]):
         stride = max(one.stride for one in (extractor, matching_extractor, coarse_extractor))
         self.loss = ViewLoss(scene, extractor, stride)
         self.view_step = ViewStep(scene, self.loss_of_view, self.loss.to_device)
-        self._optimized: ImageOptimization | None = None  # the reference that is being made
+        self._optimized: ImageOptimization | None = None  # the reference being made
         self._objective: ReferenceObjective | None = None
-        self._late_renders: dict[int, np.ndarray] = {}  # the references' views as the last quarter begins
+        self._late_renders: dict[int, np.ndarray] = {}  # the references' views at the start of the last quarter
         self._late_keys: dict[str, StyleRows] | None = None
         for view, image in references.items():
             if view not in scene.shown:
@@ -129,11 +129,11 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     @property
     def references(self) -> dict[int, np.ndarray]:
-        """By training view, the references that are there, as far as they are made."""
+        """The references that exist so far, by training view."""
         return {view: image for view, image in self._images.items() if image is not None}
 
     def _within_coverage(self, view: int, image: np.ndarray) -> np.ndarray:
-        """A reference, with the photo beside the region and the background where no object is."""
+        """Return a reference with the photo around the region, and the background where there is no object."""
         if self.scene.of_region:
             part = self.scene.coverage(view)[..., None]
             return part * image + (1 - part) * self.scene.photos[view]
@@ -148,23 +148,23 @@ class RefNpr(StyleMethod[RefNprSettings]):
     # -- making a reference -----------------------------------------------------------------------------------------
 
     def reference_step(self) -> dict[str, float]:
-        """Take one step of a reference's pixels, one reference after the other; the parts of its loss."""
+        """Take one step on a reference's pixels, one reference after another; return the parts of its loss."""
         each = self.budget.steps_of_each
         at, step = divmod(self.scene.state.step, each)
         view = self.to_make[at]
         if self._optimized is None:
             self._optimized = self._new_image(view)
         parts = self._optimized.step(self.making_loss(view), 1 - step / each)
-        # Rounded as a checkpoint holds it: style steps see the same reference whether resumed or not.
+        # Rounded as in a checkpoint, so that style steps see the same reference whether resumed or not.
         self._images[view] = _in_eight_bits(self._optimized.pixels())
         if step + 1 == each:
             self._finish_reference(view)
         return parts
 
     def _finish_reference(self, view: int) -> None:
-        """Give a reference the style image's colors, as ARF's result has them.
+        """Match a reference's colors to the style image's, as in ARF's last step.
 
-        Features know little of hue: what is optimized by them alone has specks of green and violet.
+        Features are almost blind to hue: images optimized by them alone have green and violet specks.
         """
         scene = self.scene
         if scene.settings.match != "none" and scene.style_colors is not None:
@@ -182,7 +182,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         return ImageOptimization(start, self.loss.coverage(view), beside, scene.settings.image_rate)
 
     def making_loss(self, view: int) -> ImageLoss:
-        """The loss of the reference that is made of a view."""
+        """Return the loss function for making a view's reference."""
         plain, weight = self.loss.of_view(view), self.scene.settings.weights.variation
 
         def loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
@@ -192,17 +192,17 @@ class RefNpr(StyleMethod[RefNprSettings]):
         return loss
 
     def _missing_variation(self, view: int, image: torch.Tensor, weight: float) -> torch.Tensor | float:
-        """What a region's loss lacks of variation, the only part that is a mean over the whole image."""
+        """Return the variation missing from a region's loss, where it is the only mean over the whole image."""
         if not self.scene.of_region:
             return 0.0
         variation = VARIATIONS[self.scene.settings.variation]
-        # With what the loss has already, variation / share: the mean over the region's pixels.
+        # Together with what the loss already has: variation / share, the mean over the region's pixels.
         return (1 / float(self.scene.coverage(view).mean()) - 1) * weight * variation(image)
 
     def finish_phase(self) -> None:
         if self.scene.state.phase != "reference":
             return
-        if self._optimized is not None:  # a budget of time may end within one
+        if self._optimized is not None:  # a time budget may end within one
             self._finish_reference(self.to_make[self.scene.state.step // self.budget.steps_of_each])
         for view in self.to_make:  # or before the last ones
             if self._images[view] is None:
@@ -211,7 +211,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
     def start_phase(self, spent: float) -> None:
         state = self.scene.state
         if state.phase == STYLE and self.to_make:
-            # The phases share one budget: style goes on where the making of references stopped.
+            # The phases share one budget: the style phase continues its clock.
             state.seconds = spent
             if not self.scene.settings.steps:
                 state.counts["painting_ms"] = round(1000 * spent)
@@ -219,7 +219,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
     # -- the style steps --------------------------------------------------------------------------------------------
 
     def style_step(self) -> dict[str, float]:
-        """Take one step on a view, on a reference's pixels and on registered pixels; the parts of the loss."""
+        """Take one step on a view, on a reference's pixels and on registered pixels; return the parts of the loss."""
         scene, settings = self.scene, self.scene.settings
         generator = np.random.default_rng([scene.problem.seed, 4, scene.state.step])
         parts = self.view_step.learn(generator) | self._learn_references(generator)
@@ -228,7 +228,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     @property
     def objective(self) -> ReferenceObjective:
-        """The loss of a view by its correspondences; made once the references are there."""
+        """The loss of a view by its correspondences, created once the references exist."""
         if self._objective is None:
             loss, s, seed = self.loss, self.scene.settings, self.scene.problem.seed
             pairs = [
@@ -257,9 +257,9 @@ class RefNpr(StyleMethod[RefNprSettings]):
         return found
 
     def _register(self, view: int) -> Registered:
-        """Pixels of a view that see what a reference sees, and its colors there; of several, the most frontal's."""
+        """Return a view's pixels that see what a reference sees, and its colors there (of several: most frontal)."""
         count = self.scene.cameras[view].width * self.scene.cameras[view].height
-        # best: cosine between the directions in which pixel and reference see the point; -1: no reference sees it.
+        # best: cosine between the directions in which pixel and reference see the point; -1: not seen by a reference.
         best, colors = np.full(count, -1.0), np.zeros((count, 3), np.float32)
         for other, image in self.references.items():
             if other == view:
@@ -277,13 +277,13 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     @property
     def registered_share(self) -> float:
-        """Fraction of what views other than the references see whose color a reference gives."""
+        """Fraction of the pixels of views other than the references whose color a reference provides."""
         covered = {view: int((self.scene.coverage(view) > SOLID).sum()) for view in self._others}
         shares = [len(self._registered[view][0]) / max(1, count) for view, count in covered.items()]
         return float(np.mean(shares)) if shares else 0.0
 
     def _learn_references(self, generator: np.random.Generator) -> dict[str, float]:
-        """Add gradients of a reference's pixels and of registered ones; their mean squared errors."""
+        """Add the gradients of a reference's pixels and of registered ones; return their mean squared errors."""
         scene, weight = self.scene, self.scene.settings.reference_weight
         views, others, error = list(self.references), self._others, 0.0
         view = views[int(generator.integers(len(views)))]
@@ -297,7 +297,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         return {"reference": own, "registered": error}
 
     def loss_of_view(self, view: int) -> ImageLoss:
-        """The loss of a view's render at the present step."""
+        """Return the loss function for a view's render at the current step."""
         late = self.scene.budget.progress >= 1 - self.scene.settings.late
         weights, objective = self.scene.settings.reference_feature_weights, self.objective
         coverage, window = self.loss.coverage(view), self.loss.windows[view]
@@ -310,7 +310,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
         def late_loss(image: torch.Tensor) -> tuple[torch.Tensor, dict[str, float]]:
             missing = self._missing_variation(view, image, weights.variation)
             found = objective.features_of(image, window)
-            # Detached for the search only: matches are constants, features still carry the gradient.
+            # Detached for the search only: matches are constant, while features carry the gradient.
             matches = objective.matches_of({b: f.detach() for b, f in found.items()}, self.late_keys, coverage, window)
             style, variation = objective.style_distance(found, matches, coverage, window), objective.variation(image)
             loss = LATE_WEIGHT * weights.style * style + weights.variation * variation + missing
@@ -320,7 +320,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     @property
     def late_keys(self) -> dict[str, StyleRows]:
-        """What renders are matched with in the last quarter: the references' own views as it began."""
+        """What renders are matched with in the last quarter: renders of the references' views at its start."""
         if self._late_keys is None:
             for view in self.references:
                 if view not in self._late_renders:
@@ -355,5 +355,5 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
 
 def _in_eight_bits(image: np.ndarray) -> np.ndarray:
-    """An image rounded as a file, and a checkpoint, holds it."""
+    """Return an image rounded to 8 bits, as in a file or a checkpoint."""
     return np.rint(image * 255).astype(np.uint8).astype(np.float32) / 255

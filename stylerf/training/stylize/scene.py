@@ -1,6 +1,6 @@
-"""The scene that a method stylizes: its density stays, a new color learns, and perhaps a deformation.
+"""The scene that a method stylizes: fixed density, a new color to be trained and, optionally, a deformation.
 
-StyleProblem holds what is given; StyledScene holds what changes. Methods render its views and add gradients to it.
+StyleProblem holds the inputs, StyledScene everything that changes. Methods render its views and add gradients to it.
 """
 
 import math
@@ -49,7 +49,7 @@ from stylerf.training.stylize.settings import (
     StyleState,
 )
 
-COLOR, FINEST = "color", "finest"  # arrays of a checkpoint: the new color's values, cells of its finest level
+COLOR, FINEST = "color", "finest"  # checkpoint arrays: the new color's values, cells of its finest level
 Settings_co = TypeVar("Settings_co", bound=StyleSettings, covariant=True)
 
 
@@ -59,8 +59,8 @@ class ObjectPhotos:
 
     Attributes:
         photos: [h, w, 3] over the background.
-        alpha: Coverage of a view, [h, w], before anything moves.
-        background: Gray level; None: a region is covered, and the photos stay as they are beside it.
+        alpha: Returns a view's coverage [h, w], before any deformation.
+        background: Gray level; None: coverage is that of a region, around which photos stay unchanged.
     """
 
     photos: PerView[np.ndarray]
@@ -68,7 +68,7 @@ class ObjectPhotos:
     background: np.float32 | None
 
     def __call__(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Premultiplied rgb [h, w, 3] without the background, and its coverage [h, w]."""
+        """Return premultiplied rgb [h, w, 3] without the background, and its coverage [h, w]."""
         coverage = self.alpha(view)
         behind = (1 - coverage[..., None]) * self._beside(view)
         return np.clip(self.photos[view] - behind, 0, coverage[..., None]), coverage
@@ -77,13 +77,13 @@ class ObjectPhotos:
         return self.photos[view] if self.background is None else self.background
 
     def colors(self, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """A sample of the colors [n, 3] of covered pixels, and their weights [n]."""
+        """Return a sample of the colors [n, 3] of covered pixels, and their weights [n]."""
         views = range(len(self.photos))
         covered = sum(int((self.alpha(view) > 0).sum()) for view in views)
         return pixels_of((straight_rgba(*self(view)) for view in views), seed=seed, count=covered)
 
     def mapped(self, view: int, color_map: ColorMap) -> np.ndarray:
-        """A photo with the object's colors mapped, [h, w, 3]; the background stays."""
+        """Return a photo with the object's colors mapped, [h, w, 3]; the background is unchanged."""
         rgb, coverage = self(view)
         mapped = color_map.premultiplied(torch.from_numpy(rgb), torch.from_numpy(coverage)).numpy()
         level = coverage[..., None]
@@ -91,9 +91,9 @@ class ObjectPhotos:
 
 
 def straight_rgba(rgb: np.ndarray, coverage: np.ndarray, threshold: float = 0.0) -> torch.Tensor:
-    """[4, h, w] float32 of premultiplied rgb [h, w, 3]; alpha 0 where the coverage is at most `threshold`."""
+    """Return [4, h, w] float32 from premultiplied rgb [h, w, 3]; alpha is 0 where coverage is at most `threshold`."""
     alpha = coverage[..., None]
-    # 1e-3 bounds the quotient where almost nothing is seen; such a pixel hardly weighs in what follows.
+    # 1e-3 bounds the quotient where almost nothing is visible; such pixels have hardly any weight later.
     rgba = np.concatenate([rgb / np.maximum(alpha, 1e-3), np.where(alpha > threshold, alpha, 0)], -1)
     return torch.from_numpy(rgba.astype(np.float32)).permute(2, 0, 1)
 
@@ -104,17 +104,17 @@ def rendered_match(
     seed: int,
     count: int = 1,
 ) -> ColorMap:
-    """The map from renders' colors to the style image's (ARF's last step). count: number of pictures.
+    """Return the map from the renders' colors to the style image's (ARF's last step). count: number of pictures.
 
-    Pixels that are half covered or less do not count, unless there are no others: in haze, or of rods thinner than a
-    pixel. Of each picture only a sample is kept.
+    Pixels that are at most half covered do not count, unless there are no others, as in haze or with rods thinner than
+    a pixel. Only a sample of each picture is kept.
     """
     generator = torch.Generator().manual_seed(seed)
     solid: list[tuple[Tensor, Tensor]] = []
     hazy: list[tuple[Tensor, Tensor]] = []
     for rgb, alpha in pictures:
         opaque = bool((alpha > SOLID).any())
-        # Dividing by a small alpha amplifies noise, which would count as colors.
+        # Dividing by a small alpha amplifies noise into colors.
         rgba = straight_rgba(rgb, alpha, SOLID if opaque else 0)
         (solid if opaque else hazy).append(sample_of(rgba, round(SAMPLE / count), generator))
     colors, weights = (torch.cat(parts) for parts in zip(*(solid or hazy), strict=True))
@@ -122,18 +122,18 @@ def rendered_match(
 
 
 PIXELS_AT_ONCE = 65536
-MATCHED_VIEWS = 24  # views whose colors stand for those of all
+MATCHED_VIEWS = 24  # views that represent the colors of all
 MEMORY = 8e9  # bytes
-# Fractions of the memory. A march takes seconds to repeat, features about as long, a photo a tenth of that.
+# Fractions of the memory. Recomputing a surface takes seconds, features about as long, a photo a tenth of that.
 SURFACES, CONTENT, PHOTOS = 0.5, 0.35, 0.15
-REGION_MASKS = 0.05  # beyond these
-REFIT_DETAIL_RATE = 0.2  # of the finest colors in the refit, see HashColor: few pixels teach each of them (0065)
-COARSEST_STEP = 1 / 128  # cube units; of a deforming field, whose rays are marched again in every step
+REGION_MASKS = 0.05  # in addition to these
+REFIT_DETAIL_RATE = 0.2  # of the finest colors in the refit, see HashColor: few pixels train each of them (0065)
+COARSEST_STEP = 1 / 128  # cube units; for a deforming field, whose rays are marched in every step
 
 
 @dataclass(frozen=True)
 class StyleBackend:
-    """Makes what differs between CPU and GPU (training/backends.py picks one)."""
+    """Constructors of everything that differs between CPU and GPU (selected in training/backends.py)."""
 
     deformer: Callable[..., AnyDeformer]
     fixed_geometry: Callable[..., Surfaces]
@@ -145,18 +145,18 @@ CPU = StyleBackend(Deformer, FixedGeometry, MovingGeometry)
 
 @dataclass(frozen=True, eq=False)
 class StyleProblem(Generic[Settings_co]):
-    """What a stylization is given.
+    """The inputs of a stylization.
 
     Attributes:
-        field: The fitted field, whose density stays.
-        cameras, photos: Training views: [h, w, 3] float32 sRGB 0..1 over the background; read again where not cached.
+        field: The fitted field, whose density is fixed.
+        cameras, photos: Training views: [h, w, 3] float32 sRGB 0..1 over the background; reread where not cached.
         background: Gray level behind the field.
         style_image: [3 or 4, h, w] sRGB 0..1; None if the method has none. A fourth channel is an alpha of 0 or 1.
-        deformation: Network that moves the shapes too (DeSRF); None: they stay.
+        deformation: Network that also deforms the shapes (DeSRF); None: they are fixed.
         region: Cells [s, s, s] of the cube; only this part of the scene is shown, matched and stylized, and new_color
-            gives colors over the scene's own.
-        memory: Bytes that surfaces, features and photos may take; what does not fit is recomputed at each use. On a
-            GPU, what is free there bounds it.
+            creates colors over the scene's own.
+        memory: Bytes for surfaces, features and photos; what does not fit is recomputed on every use. On a GPU, its
+            free memory is a further limit.
         backend: Where rays are marched.
     """
 
@@ -175,20 +175,20 @@ class StyleProblem(Generic[Settings_co]):
 
 
 class PhaseBudget:
-    """How far the present phase is."""
+    """Progress of the current phase."""
 
     def __init__(self, scene: "StyledScene[StyleSettings]") -> None:
         self.scene = scene
 
     @property
     def steps(self) -> int:
-        """Steps of the present phase; 0 if time limits it."""
+        """Steps of the current phase; 0 if it is limited by time."""
         settings = self.scene.settings
         return settings.refit_steps if self.scene.state.phase == REFIT else settings.steps
 
     @property
     def progress(self) -> float:
-        """Fraction of the present phase that is done, 0..1."""
+        """Completed fraction of the current phase, 0..1."""
         s, state = self.scene.settings, self.scene.state
         if state.phase == REFIT:
             return min(1.0, state.step / max(1, s.refit_steps))
@@ -196,23 +196,23 @@ class PhaseBudget:
 
 
 class StyledScene(Generic[Settings_co]):
-    """Renders views in the new color and collects gradients of it.
+    """Renders views in the new color and accumulates its gradients.
 
     Args:
-        new_color: Makes the color to learn, from a generator and this scene, whose surfaces are known by then.
+        new_color: Creates the color to train from a generator and this scene, whose surfaces are known by then.
 
     Attributes:
         field: The field with its new color.
-        fixed: Its surfaces before anything moved.
+        fixed: Its surfaces before any deformation.
         geometry: What is rendered: `fixed`, or the deforming field after start_moving().
         shown: Views that show something to stylize.
-        photos: The views' photos, in the style image's colors if settings.match says so.
+        photos: The views' photos, matched to the style image's colors if settings.match says so.
         style_image: Image whose features are matched; None without a style image.
-        style_colors: Image whose colors are matched, without what is transparent; None without a style image.
-        behind: Color [3] behind a deforming object when it is compared with the style image, whose mean it is.
+        style_colors: Image whose colors are matched, without transparent pixels; None without a style image.
+        behind: Color [3] behind a deforming object when compared with the style image: the style image's mean color.
 
     Raises:
-        InvalidValue: No view shows anything of the region.
+        InvalidValue: No view shows any part of the region.
     """
 
     def __init__(
@@ -229,7 +229,7 @@ class StyledScene(Generic[Settings_co]):
             self.settings = self.settings.for_style(strokes_in(self.style_colors, min_spread))
             self.style_colors = spread_at_least(self.style_colors, min_spread)
         threshold = problem.field.weight_threshold if self.of_region else self.settings.weight_threshold
-        # A region's colors lie over the field's own, which keep the map that they are shown through.
+        # A region's colors are on top of the field's own, which keep their color map.
         color_map = problem.field.color_map if self.of_region else None
         self.field = replace(problem.field, color_map=color_map, weight_threshold=threshold)
         self.deformer = self._new_deformer()
@@ -240,7 +240,7 @@ class StyledScene(Generic[Settings_co]):
         self._region_masks = BoundedCache(self._region_mask, lambda mask: mask.nbytes, views, REGION_MASKS * memory)
         self.shown = [v for v in range(views) if not self.of_region or (self._region_masks[v] > SOLID).any()]
         if not self.shown:
-            raise InvalidValue("no training view shows anything of the region")
+            raise InvalidValue("no training view shows any part of the region")
         self.field.color = new_color(np.random.default_rng([problem.seed, 1]), self)
         self.fixed.field.color = self.field.color
         self.adam = self.new_adam()
@@ -254,33 +254,33 @@ class StyledScene(Generic[Settings_co]):
         if p.deformation is None:
             return None
         if not isinstance(settings, DesrfSettings):
-            raise InvalidValue("a deformation is trained by desrf only")
+            raise InvalidValue("only desrf trains a deformation")
         at_rest(self.field)  # at the step that its densities were fitted with
-        # A march costs by its samples, and its step cannot change later: colors are learned where it samples them.
+        # Marching cost depends on the samples, and the step cannot change later: colors are trained where sampled.
         self.field.step = max(self.field.step, COARSEST_STEP)
         vertices, clip, anchored = settings.displacement_vertices, settings.gradient_clip, True
         return p.backend.deformer(self.field, p.deformation, p.cameras, vertices, p.seed, p.threads, clip, anchored)
 
     def _fixed_geometry(self) -> Surfaces:
-        # A snapshot of the shapes; the color keeps training.
+        # A snapshot of the shapes; the color continues to be trained.
         moved, p = self.field.displacement, self.problem
         still = replace(self.field, displacement=None if moved is None else moved.copy())
         threshold = self.settings.weight_threshold
         return p.backend.fixed_geometry(still, p.cameras, threshold, p.threads, SURFACES * p.memory)
 
     def new_adam(self) -> Optimizer:
-        """An optimizer of the present colors, its moments at zero."""
+        """Return an optimizer for the current colors with zero moments."""
         color, side = self.field.color, 1.0  # of its grid, in cube units
         if isinstance(color, RegionColor):
             side, color = color.side, color.own
         if isinstance(color, HashColor):
             color.detail_rate, color.detail, color.broad, narrow = self._rates_by_width()
-            # nan if nothing is seen: all levels learn.
+            # nan if nothing is visible: all levels learn.
             color.narrow = narrow * color.finest / (side * self.pixel_cells()) if narrow else 0.0
         return self.fixed.new_adam(self.settings.gradient_clip)
 
     def _rates_by_width(self) -> tuple[float, float, float, float]:
-        """Return HashColor's detail_rate, detail and broad for the present phase, and ArfSettings.narrow."""
+        """Return HashColor's detail_rate, detail and broad for the current phase, and ArfSettings.narrow."""
         if self.state.phase == REFIT:
             return REFIT_DETAIL_RATE, DETAIL, math.inf, 0.0
         if isinstance(s := self.settings, ArfSettings):
@@ -288,13 +288,13 @@ class StyledScene(Generic[Settings_co]):
         return 1.0, DETAIL, math.inf, 0.0
 
     def collect(self) -> None:
-        """Copy what a GPU has learned into the field's own arrays."""
+        """Copy values learned on a GPU into the field's own arrays."""
         self.fixed.collect()
         if self.deformer is not None:
             self.deformer.collect()
 
     def start_moving(self) -> None:
-        """From now on, render the deforming field; without a deformation, nothing changes."""
+        """Render the deforming field from now on; without a deformation, nothing changes."""
         if self.deformer is not None:
             p, threshold = self.problem, self.settings.weight_threshold
             self._moving = self.geometry = p.backend.moving_geometry(
@@ -304,7 +304,7 @@ class StyledScene(Generic[Settings_co]):
     # -- views ------------------------------------------------------------------------------------------------------
 
     def pixel_cells(self) -> float:
-        """Cells per side of the cube that are as wide as a pixel: median of four views, nan if nothing is seen."""
+        """Return the number of pixel-sized cells per cube side: median of four views, nan if nothing is visible."""
         chosen = np.unique(np.linspace(0, len(self.cameras) - 1, 4).round().astype(int))
         return pixel_cells(self.fixed.surface(view) for view in chosen)
 
@@ -315,11 +315,11 @@ class StyledScene(Generic[Settings_co]):
 
     @property
     def fills_views(self) -> bool:
-        """Whether every pixel of every view counts: a whole capture, whose background is opaque."""
+        """Whether every pixel of every view counts: a whole capture with an opaque background."""
         return self.field.opaque_background and not self.of_region
 
     def coverage(self, view: int) -> np.ndarray:
-        """How much of each pixel is object, or belongs to the region, [h, w] in 0..1."""
+        """Return each pixel's coverage by the object or the region, [h, w] in 0..1."""
         return self._region_masks[view] if self.of_region else self.geometry.alpha(view)
 
     def _region_mask(self, view: int) -> np.ndarray:
@@ -329,12 +329,12 @@ class StyledScene(Generic[Settings_co]):
         return np.clip(part, 0, 1).reshape(self.fixed.alpha(view).shape)
 
     def _matched(self, photos: PerView[np.ndarray]) -> Callable[[int], np.ndarray]:
-        """Reads a photo, in the style image's colors if it is matched before; sets style_colors."""
+        """Return a function that reads a photo, color-matched if settings.match says so; sets style_colors."""
         s, p = self.settings, self.problem
         if s.match == "none":
             return photos.__getitem__
         if self.style_colors is None:
-            raise InvalidValue("colors can only be matched to those of a style image")
+            raise InvalidValue("color matching needs a style image")
 
         def alpha(view: int) -> np.ndarray:
             if self.fills_views:
@@ -347,7 +347,7 @@ class StyledScene(Generic[Settings_co]):
             self.style_colors = shown_colors(in_colors_of(self.style_image, colors, weights))
             self.style_image = in_brightness_of(self.style_image, colors, weights)
             return photos.__getitem__
-        # Both matches aim at these colors: two bounds, one after the other, would allow their product.
+        # Both matches aim at these colors: two successive bounds would allow their product.
         self.style_colors = spread_at_most(self.style_colors, colors, s.max_gain, weights)
         if s.match == "after":
             return photos.__getitem__
@@ -355,20 +355,20 @@ class StyledScene(Generic[Settings_co]):
         return lambda view: of_object.mapped(view, color_map)
 
     def render(self, view: int, geometry: Geometry | None = None) -> np.ndarray:
-        """Premultiplied rgb of a view, [h*w, 3], with bounded memory; of `geometry` if given."""
+        """Return premultiplied rgb of a view, [h*w, 3], using bounded memory; of `geometry` if given."""
         geometry = geometry or self.geometry
         count = self.cameras[view].width * self.cameras[view].height
         parts = [np.arange(at, min(at + PIXELS_AT_ONCE, count)) for at in range(0, count, PIXELS_AT_ONCE)]
         return np.concatenate([geometry.paint(view, part)[0] for part in parts])
 
     def render_over(self, view: int) -> np.ndarray:
-        """A view over the background, [h, w, 3]."""
+        """Return a view over the background, [h, w, 3]."""
         alpha = self.geometry.alpha(view)
         rgb = self.render(view).reshape(*alpha.shape, 3)
         return rgb + (1 - alpha[..., None]) * self.background
 
     def match_renders(self) -> ColorMap | None:
-        """The map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS views."""
+        """Return the map from the renders' colors to the style image's (ARF's last step), from up to MATCHED_VIEWS."""
         if self.style_colors is None:
             return None
         views = evenly_spaced(len(self.cameras), MATCHED_VIEWS)
@@ -381,7 +381,7 @@ class StyledScene(Generic[Settings_co]):
     # -- learning ---------------------------------------------------------------------------------------------------
 
     def refit_step(self) -> dict[str, float]:
-        """Take one step of the color towards the photos; its mean squared error."""
+        """Take one step of the color on a photo; return the mean squared error."""
         generator = np.random.default_rng([self.problem.seed, 2, self.state.step])
         view = self.shown[int(generator.integers(len(self.shown)))]
         error = self.learn_image(view, self.photos[view], generator)
@@ -393,11 +393,11 @@ class StyledScene(Generic[Settings_co]):
     def learn_image(
         self, view: int, image: np.ndarray, generator: np.random.Generator, weight: float = 1.0
     ) -> float | None:
-        """Add the gradient of `weight` times the mean squared error to an image [h, w, 3] of a view.
+        """Add the gradient of `weight` times the mean squared error between a view and an image [h, w, 3].
 
-        Over `refit_pixels` random pixels of those that count. Returns the error; None if no pixel counts.
+        Over `refit_pixels` random covered pixels. Returns the error, or None if no pixel is covered.
         """
-        # A pixel without coverage has nothing to learn from: its color is the background's.
+        # Pixels without coverage show only the background, so they are of no use.
         lit = np.flatnonzero(self.coverage(view).ravel() > 1e-3)
         if len(lit) == 0:
             return None
@@ -405,22 +405,22 @@ class StyledScene(Generic[Settings_co]):
         return self.learn_pixels(view, pixels, image.reshape(-1, 3)[pixels], weight)
 
     def learn_pixels(self, view: int, pixels: np.ndarray, target: np.ndarray, weight: float = 1.0) -> float:
-        """Add the gradient of the mean squared error of pixels [n] to colors [n, 3] over the background."""
+        """Add the gradient of pixels' [n] mean squared error to colors [n, 3] over the background; return the error."""
         rgb, record = self.geometry.paint(view, pixels)
         alpha = self.geometry.alpha(view).ravel()[pixels, None]
         difference = rgb + (1 - alpha) * self.background - target
-        # d/dC of weight mean (C - target)^2 over pixels and channels.
+        # d/dC of weight mean((C - target)^2) over pixels and channels.
         self.geometry.learn(record, difference * np.float32(2 * weight / difference.size), self.adam.gradients)
         return float(np.square(difference).mean())
 
     # -- checkpoints ------------------------------------------------------------------------------------------------
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays of a checkpoint."""
+        """Return the arrays for a checkpoint."""
         self.collect()
         arrays = {COLOR: self.field.color.values.copy()}
         if isinstance(self.field.color, HashColor):
-            arrays[FINEST] = np.array([self.field.color.finest])  # for whoever looks at the colors meanwhile
+            arrays[FINEST] = np.array([self.field.color.finest])  # for viewers of an unfinished run
         arrays |= {k: v.copy() for k, v in moments_of({"adam": self.adam}).items()}
         if self.deformer is not None:
             arrays |= {f"deform.{k}": v for k, v in self.deformer.arrays().items()}
@@ -429,9 +429,9 @@ class StyledScene(Generic[Settings_co]):
         return arrays
 
     def restore(self, arrays: dict[str, np.ndarray]) -> None:
-        """From arrays(); the state is set."""
+        """Restore from arrays(); `state` must already be set."""
         self.field.color.values[:] = arrays[COLOR]
-        # After the values: on a GPU new_adam() copies them to the device.
+        # After the values: on a GPU, new_adam() copies them to the device.
         self.adam = self.new_adam()
         restore_moments({"adam": self.adam}, arrays)
         if self.deformer is None:

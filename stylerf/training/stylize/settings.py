@@ -7,23 +7,23 @@ from typing import Self
 from stylerf.fields.hash_grid import DETAIL
 from stylerf.style.style_loss import StyleWeights
 
-REFIT, STYLE = "refit", "style"  # phases of a StyleState that every method has
+REFIT, STYLE = "refit", "style"  # phases that every method has
 RATES = ("rate", "refit_rate", "deform_rate", "image_rate")
 
 
 @dataclass(frozen=True)
 class StyleSettings:
-    """What all methods share.
+    """Settings shared by all methods.
 
     Attributes:
-        steps: Steps after the refit; 0 if `seconds` limits them.
+        steps: Steps after the refit; 0 if limited by `seconds`.
         seconds: Time budget after the refit.
         refit_steps: Steps that fit the new color to the photos.
         refit_pixels: Pixels per step that are compared with a photo.
-        refit_rate, rate: Learning rates of the color; `rate` falls to `final_rate` of itself.
+        refit_rate, rate: Learning rates of the color; `rate` decays by the factor `final_rate`.
         match: Color matching: before (of the photos), after (of the renders), both or none.
         weight_threshold: Fraction of a ray's largest weight below which a sample is not colored.
-        rollbacks: How often a divergence may roll back (see DivergenceGuard in trainer.py).
+        rollbacks: Maximum number of rollbacks after divergence (see DivergenceGuard in trainer.py).
         gradient_clip: Clip gradients at this multiple of their running norm; 0: never (see common/adam.py).
         min_spread, max_gain: Bounds of color matching (see style/color_matching.py).
     """
@@ -43,26 +43,26 @@ class StyleSettings:
     max_gain: float = 4.0
 
     def slowed(self, times: int) -> Self:
-        """Settings with all learning rates halved `times` times."""
+        """Return the settings with all learning rates halved `times` times."""
         names = [one.name for one in fields(self) if one.name in RATES]
         return replace(self, **{name: 0.5**times * getattr(self, name) for name in names})
 
     def for_style(self, strength: float) -> Self:
-        """Settings for a style image that holds only `strength` (0..1) of a style."""
+        """Return the settings for a style image with only `strength` (0..1) of a style."""
         return self
 
 
 @dataclass(frozen=True)
 class ImageStyleSettings(StyleSettings):
-    """What the methods with a style image share.
+    """Settings shared by methods with a style image.
 
     Attributes:
         loss: transport (see style/transport.py), nnfm (nearest neighbor feature matching) or gram (Gram matrices).
-        feature_scale: Size of the image that features are taken from, relative to the view.
-        coarse: First fraction of the style steps, which use half of `feature_scale` (decision 0013).
+        feature_scale: Size of the image that features are extracted from, relative to the view.
+        coarse: Initial fraction of the style steps that use half of `feature_scale` (decision 0013).
         style_scale, style_rows, style_basis, variation, diversity, rotations: See style/style_loss.StyleObjective.
         stroke, stroke_by_depth: See stroke_sizes.py.
-        keep_colors: Give the style image the photos' colors, instead of the photos the style image's.
+        keep_colors: Match the style image's colors to the photos' instead of vice versa.
     """
 
     weights: StyleWeights = field(default_factory=StyleWeights)
@@ -90,7 +90,7 @@ class ArfSettings(ImageStyleSettings):
     Attributes:
         strategy, dilation, blur: See rendering/ray_selection.py.
         remember: Take unselected pixels from the view's last render.
-        detail_rate, detail, broad: See HashColor; of the style steps.
+        detail_rate, detail, broad: For the style steps; see HashColor.
         narrow: Width in pixels below which cells do not learn in the style steps.
     """
 
@@ -114,14 +114,14 @@ class DesrfSettings(ArfSettings):
     max_slope: float = 0.0
 
     def for_style(self, strength: float) -> Self:
-        # Adam's steps are as long for a weak loss: shapes would move by rounding.
+        # Adam's steps are just as long for a weak loss: rounding errors would move shapes.
         return replace(super().for_style(strength), deform_rate=strength * self.deform_rate)
 
 
 @dataclass(frozen=True)
 class SnerfSettings(ImageStyleSettings):
-    """SNeRF. rounds: alternations. image_share: fraction of a round spent on images. image_steps, image_rate: of each
-    image's optimization."""
+    """SNeRF. rounds: number of alternations. image_share: fraction of a round spent on images. image_steps, image_rate:
+    for the optimization of each image."""
 
     rounds: int = 3
     image_share: float = 0.75
@@ -134,10 +134,10 @@ class RefNprSettings(ArfSettings):
     """Ref-NPR.
 
     Attributes:
-        reference_steps, image_rate: Of the optimization of a reference image.
-        reference_weight: Weight of the squared error on the references' own and on registered rays.
-        reference_feature_weights: Weights of the loss by correspondences; `weights` are those of making a reference.
-        late: Last fraction of the style steps, which match renders with renders.
+        reference_steps, image_rate: For the optimization of a reference image.
+        reference_weight: Weight of the squared error on the references' own rays and on registered rays.
+        reference_feature_weights: Weights of the correspondence loss; `weights` are for making a reference.
+        late: Final fraction of the style steps, which match renders with renders.
     """
 
     reference_steps: int = 60
@@ -149,7 +149,7 @@ class RefNprSettings(ArfSettings):
 
 @dataclass
 class StyleState:
-    """Progress of a stylization. step, seconds: of the present phase. counts: a method's own counters."""
+    """Progress of a stylization. step, seconds: in the current phase. counts: method-specific counters."""
 
     phase: str = REFIT
     step: int = 0

@@ -1,7 +1,7 @@
-"""What the style loss sees beyond an object's silhouette: the object, mirrored there, instead of its background.
+"""Replace the background that the style loss sees beyond an object's silhouette with the mirrored object.
 
-Features at a silhouette see both sides of it. On a white background they match pale strokes, which would show as a rim
-around the object (docs/decisions/0054).
+Features at a silhouette see both sides of it. On a white background, they match pale strokes, which would appear as a
+rim around the object (decision 0054).
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ from stylerf.style.transparency import SHOWN
 
 
 def mirror_pixels(alpha: np.ndarray) -> np.ndarray:
-    """Return the pixel that stands in for each one of a view, [h, w] int32, as an index of the flat image.
+    """Return, for each pixel of a view, the flat index of the pixel that replaces it, [h, w] int32.
 
-    A pixel outside of the object takes the one that is as deep inside, or the nearest inside if that one is outside
-    too. Pixels of the object, and of a view without any, take themselves.
+    A pixel outside the object is replaced by its mirror image, equally far inside, or by the nearest inside pixel if
+    that one is outside too. Pixels of the object, and all pixels of a view without an object, stay themselves.
 
     Args:
         alpha: Coverage [h, w]; an alpha of SHOWN or more is inside.
@@ -41,7 +41,7 @@ def object_colors(image: Tensor, alpha: Tensor, mirror: Tensor, background: floa
     Args:
         image: [3, h, w] over the background.
         alpha: Coverage [h, w].
-        mirror: From mirror_pixels, [h, w].
+        mirror: From mirror_pixels(), [h, w].
         background: Gray level, 0..1.
     """
     chosen = mirror.flatten()

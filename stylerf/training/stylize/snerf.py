@@ -1,13 +1,13 @@
 """Stylize a scene by alternation (SNeRF, Nguyen-Phuoc et al. 2022): views as images, then the field on these images.
 
-In each round, rendered views are optimized as 2D images, each by itself, for `image_share` of the round; then the
-colors learn these images by their mean squared error. The field evens out what the images disagree about, and its
-renders start the next round's images. The extractor's graph and a field's samples are never in memory together.
+In each round, rendered views are individually optimized as 2D images for `image_share` of the round; then the colors
+are trained on these images with the mean squared error. The field averages out inconsistencies between the images, and
+its renders initialize the next round's images. The extractor's graph and a field's samples never coexist in memory.
 
-A step optimizes one image (`image_steps` evaluations of the loss), or is one step of the field. Views take turns across
-rounds: if a round is too short for all, the others keep their image; if there is time for more, images are optimized
-further, in ever smaller steps. With a budget of steps, images take at most half of them, and each view one per round.
-With a budget of time, an image that takes longer than what its round has left is followed by the field all the same.
+A step either optimizes one image (`image_steps` evaluations of the loss) or trains the field once. Views take turns
+across rounds: if a round is too short for all, the others keep their image; if there is time left, images are optimized
+further, in ever smaller steps. With a step budget, images take at most half of the steps, and each view one per round.
+With a time budget, an image that exceeds the rest of its round is still followed by training of the field.
 """
 
 import time
@@ -23,37 +23,37 @@ from stylerf.training.stylize.trainer import StyleMethod
 
 
 class Snerf(StyleMethod[SnerfSettings]):
-    """SNeRF. images: by view, [h, w, 3] uint8, as an image file would hold them."""
+    """SNeRF. images: [h, w, 3] uint8 by view, as in an image file."""
 
     def __init__(self, scene: StyledScene[SnerfSettings], extractor: FeatureExtractor) -> None:
         super().__init__(scene)
         self.loss = ViewLoss(scene, extractor)
         self.images: dict[int, np.ndarray] = {}
-        self._visits: dict[int, tuple[int, int]] = {}  # by view: round in which its image began, visits in that round
+        self._visits: dict[int, tuple[int, int]] = {}  # by view: round in which its image began, visits in it
         self._last_image = 0, -1  # round and step of the last image step
-        self._evaluation = 0.0  # seconds of an evaluation of the images' loss, as last measured
+        self._evaluation = 0.0  # last measured time of an evaluation of the images' loss, seconds
 
     @property
     def optimizes_images(self) -> bool:
-        """Whether the next step is one of images."""
+        """Whether the next step optimizes an image."""
         s, progress, views = self.scene.settings, self.scene.budget.progress, len(self.scene.cameras)
         if not self.images:
-            return True  # the field needs at least one to learn from
+            return True  # the field needs at least one image
         share = min(s.image_share, 0.5, views * s.rounds / s.steps) if s.steps else s.image_share
         place = progress * s.rounds
         if place % 1.0 >= share:
             return False
-        # An image can take longer than its round: then the field has its turn before the next round's images.
+        # If an image takes longer than its round, the field gets a turn before the next round's images.
         in_round, at = self._last_image
         if int(place) > in_round and self.scene.state.step == at + 1:
             return False
-        # Nor may a single evaluation take the field's share of the last round.
+        # A single evaluation must not take the field's share of the last round.
         reserved = (1 - s.image_share) * s.seconds / s.rounds
         return s.steps > 0 or (1 - progress) * s.seconds >= self._evaluation + reserved
 
     @property
     def seconds_left_for_images(self) -> float:
-        """Seconds until this round turns to the field, with a budget of time."""
+        """Seconds left for images in this round, for a time budget."""
         s = self.scene.settings
         rounds = self.scene.budget.progress * s.rounds
         return (int(rounds) + s.image_share - rounds) * s.seconds / s.rounds
@@ -62,7 +62,7 @@ class Snerf(StyleMethod[SnerfSettings]):
         return self.image_step() if self.optimizes_images else self.field_step()
 
     def image_step(self) -> dict[str, float]:
-        """Optimize the next view's image, from its render or from this round's image; the parts of its loss."""
+        """Optimize the next view's image, from its render or this round's image; return the parts of its loss."""
         scene, s, counts = self.scene, self.scene.settings, self.scene.state.counts
         made, views = counts.get("pictures", 0), len(scene.cameras)
         epoch, at = divmod(made, views)
@@ -80,15 +80,15 @@ class Snerf(StyleMethod[SnerfSettings]):
             return not s.steps and times[-1] > end
 
         image, parts = painted(*given, s.image_steps, s.image_rate / (1 + visits), enough)
-        self._evaluation = float(np.diff(times).min())  # others may have compiled
-        # Rounded as the checkpoint holds it, so that a resumed run continues from the same image.
+        self._evaluation = float(np.diff(times).min())  # slower ones may include compilation
+        # Rounded as in a checkpoint, so that a resumed run continues from the same image.
         self.images[view], self._visits[view] = np.rint(image * 255).astype(np.uint8), (this_round, visits + 1)
         self._last_image = this_round, scene.state.step
         counts["pictures"] = made + 1
         return parts
 
     def field_step(self) -> dict[str, float]:
-        """Take one step of the colors towards one of the images; its mean squared error."""
+        """Take one step of the colors on one of the images; return the mean squared error."""
         scene, s = self.scene, self.scene.settings
         generator = np.random.default_rng([scene.problem.seed, 5, scene.state.step])
         view = sorted(self.images)[int(generator.integers(len(self.images)))]

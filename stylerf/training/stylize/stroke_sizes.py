@@ -1,6 +1,6 @@
-"""Strokes that are as large as things look: small far away, large nearby (as in Geometry Transfer, Jung et al. 2024).
+"""Stroke sizes that follow perspective: small far away, large nearby (as in Geometry Transfer, Jung et al. 2024).
 
-Sizes come in four steps, each with its own features of the style image. Every position of a view is matched once.
+There are four sizes, each with its own features of the style image. Every position of a view is matched once.
 """
 
 import numpy as np
@@ -16,21 +16,21 @@ MEDIAN_OF = 8  # views
 
 
 def stroke_sizes(stroke: float, by_depth: bool) -> tuple[float, ...]:
-    """Return the sizes of strokes that the style image's features are needed at."""
+    """Return the stroke sizes for which features of the style image are needed."""
     return tuple(factor * stroke for factor in FACTORS) if by_depth else (stroke,)
 
 
 def factors_at(depth: np.ndarray, median: float) -> np.ndarray:
-    """Return the place in FACTORS nearest in ratio to median / depth; depth [h, w] > 0, inf for nothing: [h, w] uint8.
+    """Return the index [h, w] uint8 into FACTORS, nearest in ratio to median / depth; depth [h, w] > 0, inf: empty.
 
-    Halving a depth doubles the factor; beyond twice and below half the median it stays.
+    Halving a depth doubles the factor, which is clamped beyond twice and below half the median depth.
     """
     wanted = np.log(np.clip(median / depth, FACTORS[-1], FACTORS[0]))
     return np.abs(wanted[..., None] - np.log(FACTORS)).argmin(-1).astype(np.uint8)
 
 
 class StrokesByDepth:
-    """For each view of a scene, which of FACTORS its pixels have. memory: bytes that may be kept."""
+    """For each view of a scene, the index into FACTORS per pixel. memory: maximum size of the cache, bytes."""
 
     def __init__(self, scene: StyledScene[ImageStyleSettings], memory: float) -> None:
         self.scene = scene
@@ -40,14 +40,14 @@ class StrokesByDepth:
         self._places = BoundedCache(self._made, lambda made: made.nbytes, len(scene.cameras), memory)
 
     def __getitem__(self, view: int) -> np.ndarray:
-        """[h, w] uint8."""
+        """Return the view's indices [h, w] uint8."""
         return self._places[view]
 
     def _made(self, view: int) -> np.ndarray:
         return factors_at(self._depth(view), self.median)
 
     def _depth(self, view: int) -> np.ndarray:
-        """Planar depth [h, w] of what the view shows of the scene before anything moved; inf where that is nothing."""
+        """Return a view's planar depth [h, w] before any deformation; inf where empty."""
         camera: Camera = self.scene.cameras[view]
         seen = points_of(self.scene.fixed.surface(view), camera, self.scene.field.space)
         depth = camera.project(seen.points)[1]

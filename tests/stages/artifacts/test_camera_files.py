@@ -70,7 +70,7 @@ def test_a_transforms_json_may_tell_an_angle_and_no_size(scene, tmp_path):
 def test_a_lens_distortion_is_left_out_and_said(scene, tmp_path):
     found = read_cameras(written(tmp_path, capture.transforms() | {"k1": 0.1}), scene)
     same(found.cameras, scene)
-    assert found.remarks == ("4 cameras of camera_path.json have a lens distortion, which renders leave out",)
+    assert found.remarks == ("the lens distortion of 4 cameras in camera_path.json is ignored",)
 
 
 @pytest.mark.parametrize("nested", [True, False])
@@ -101,12 +101,12 @@ def entry(**changes) -> dict:
     ("content", "words"),
     [
         (path_of_nerfstudio(camera_type="fisheye"), "its camera_type is fisheye, expected perspective"),
-        (path_of_nerfstudio(render_width=0), "gives a size of 0x36"),
+        (path_of_nerfstudio(render_width=0), "has an invalid size of 0x36"),
         (path_of_nerfstudio(render_width=1e6 - 1), "camera 0 has 999999x36 pixels; at most"),
-        (path_of_nerfstudio(camera_path=[]), "a list of cameras was expected, it is empty"),
+        (path_of_nerfstudio(camera_path=[]), "the list of cameras is empty"),
         (path_of_nerfstudio(camera_path=4), "camera_path is not a list"),
         (path_of_nerfstudio(camera_path=[4]), "camera 0 is 4, expected an object"),
-        ({"keyframes": [], "fps": 24}, "is an object of fps, keyframes; a list of cameras was expected"),
+        ({"keyframes": [], "fps": 24}, "is an object of fps, keyframes; expected a list of cameras"),
         (entry(fov=0), "camera 1: fov is 0 degrees"),
         (entry(fov=None), "camera 1: fov holds None, expected a number"),
         (entry(camera_to_world=[1.0] * 15), "camera 1: camera_to_world is"),
@@ -114,8 +114,8 @@ def entry(**changes) -> dict:
         (entry(camera_to_world=[2.0] * 16), "camera 1: the upper left 3x3 of its pose is not a rotation"),
         (entry(camera_to_world=[10**400] * 16), "camera 1: camera_to_world holds 1000"),
         ({"frames": [{"file_path": "x"}]}, "frame 0"),
-        ({"frames": 7}, "has no list `frames`"),
-        (7, "is 7; a list of cameras was expected"),
+        ({"frames": 7}, "has no `frames` list"),
+        (7, "is 7; expected a list of cameras"),
     ],
 )
 def test_files_that_are_no_paths(scene, tmp_path, content, words):

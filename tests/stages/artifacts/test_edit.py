@@ -19,7 +19,7 @@ def test_directions_that_are_not_of_unit_length_are_refused(tmp_path):
     (path / DATASET_NUMBERS).unlink()
     save_tensors(path / DATASET_NUMBERS, arrays)
     reseal(path)
-    with pytest.raises(ArtifactDamaged, match="not of length 1"):
+    with pytest.raises(ArtifactDamaged, match="whose length is not 1"):
         load_edit_views(Artifact(path))
 
 

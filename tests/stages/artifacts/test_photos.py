@@ -46,7 +46,7 @@ def test_the_same_draws_from_memory_and_from_a_file_without_a_name(scene, tmp_pa
     before = sorted(tmp_path.rglob("*"))
     here, there, said = both(scene, tmp_path, monkeypatch)
     assert sorted(tmp_path.rglob("*")) == before
-    assert len(said) == 1 and "3 photos take 0 MB" in said[0] and "file" in said[0]
+    assert len(said) == 1 and "3 photos need 0 MB" in said[0] and "file" in said[0]
     assert np.array_equal(here.bytes, np.repeat(np.uint8([2, 0, 1]), 6 * 8 * 4))
     for bank in (here, there):
         assert not np.shares_memory(bank.bytes, here.bytes) or bank is here

@@ -33,7 +33,7 @@ def test_fields_that_replaced_each_other_end_every_walk(circle):
 
 def test_what_was_made_again_is_remarked(circle):
     assert {one.name: one.remark for one in upstream([circle.get("field", "blue")])} == {
-        "red": "made again after field blue",
+        "red": "rebuilt after field blue",
         "blue": "",
     }
 

@@ -69,7 +69,7 @@ def test_gray_images_become_rgb_and_points_may_be_absent(tmp_path):
 
 def test_an_image_of_another_size_than_its_camera_is_damage(tmp_path):
     data = load_scene(build(tmp_path, size=(6, 7)))
-    with pytest.raises(ArtifactDamaged, match="7x6 where its camera says 8x6"):
+    with pytest.raises(ArtifactDamaged, match="7x6, but its camera expects 8x6"):
         data.images(0)
 
 
@@ -157,7 +157,7 @@ def test_a_view_without_an_edited_pixel_carries_no_edit(tmp_path):
     save_tensors(made.path / EDIT_TARGETS, none)
     reseal(made.path)
     scene = load_scene(Artifact(made.path))
-    with pytest.raises(BadInput, match="no training view carries the edit"):
+    with pytest.raises(BadInput, match="no training view shows the edit"):
         finetune.edited_pixels(scene, [1, 2, 3], earlier=False)
 
 
@@ -166,10 +166,10 @@ def test_a_number_that_is_no_views_name_is_no_views_place_either():
     scene = SimpleNamespace(views=[SimpleNamespace(name=name) for name in names])
     assert view_index(scene, "0013", "--at") == 11 and view_index(scene, "#12", "--at") == 12
     with pytest.raises(
-        BadInput, match=r"--at: there is no view '0012'; the nearest of the scene's 20 views are .*0011, 0013"
+        BadInput, match=r"--at: view '0012' not found; the nearest of the scene's 20 views are .*0011, 0013"
     ):
         view_index(scene, "0012", "--at")
-    with pytest.raises(BadInput, match="there is no view '12'"):
+    with pytest.raises(BadInput, match="view '12' not found"):
         view_index(scene, "12", "--at")
 
 

@@ -28,7 +28,7 @@ def scene(width: int = 40, height: int = 30) -> SimpleNamespace:
 
 def test_views_go_by_name_and_else_by_number():
     assert [training_view(scene(), name, "--x") for name in ("a", "7", "d", "#0", "#3")] == [0, 1, 2, 0, 2]
-    unknown = [(name, f"--x: there is no view '{name}'") for name in ("0", "#4", "#-1", "#", "#\N{SUPERSCRIPT TWO}")]
+    unknown = [(name, f"--x: view '{name}' not found") for name in ("0", "#4", "#-1", "#", "#\N{SUPERSCRIPT TWO}")]
     for name, words in (("b", "held out"), ("#1", "held out"), *unknown):
         with pytest.raises(BadInput, match=words):
             training_view(scene(), name, "--x")
@@ -54,9 +54,9 @@ def test_references_are_rescaled_but_other_aspect_ratios_are_refused(tmp_path):
     assert place == 2 and found.shape == (30, 40, 3) and found.dtype == np.float32
     assert (found[:, :19] == 0).all() and (found[:, 21:] == 1).all()
     write_png(tmp_path / "wide.png", pixels[:50])
-    with pytest.raises(BadInput, match="80x50 where view a is 40x30"):
+    with pytest.raises(BadInput, match="80x50, but view a is 40x30"):
         read_references(scene(), [f"a={tmp_path}/wide.png"])
-    with pytest.raises(BadInput, match="has a reference already"):
+    with pytest.raises(BadInput, match="already has a reference"):
         read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"])
 
 
@@ -71,7 +71,7 @@ def test_colors_over_the_fields_own_look_as_the_photos_do_from_the_start(options
 @pytest.mark.parametrize(("height", "width"), [(40, 1), (1, 40), (1, 1)])
 def test_a_style_image_of_a_line_is_refused_by_its_size(tmp_path, height, width):
     write_png(tmp_path / "line.png", np.full((height, width, 3), 90, np.uint8))
-    with pytest.raises(BadInput, match=f"line.png is {width}x{height}; a style image of at least 16 pixels"):
+    with pytest.raises(BadInput, match=f"line.png is {width}x{height}; a style image needs at least 16 pixels"):
         read_style_image(tmp_path / "line.png")
 
 
@@ -189,7 +189,13 @@ def test_a_frame_is_left_out_in_one_line_unless_it_is_to_be_kept(tmp_path):
         ({"style": "x", "method": "snerf", "rotations": True}, "--rotations has no effect with --image-by gram"),
         ({"method": "refnpr", "reference": ("0=x.png",), "stroke": 2.0}, "--stroke has no effect with --reference"),
         ({"method": "refnpr", "reference": ("0=x.png",), "stroke_by_depth": True}, "--stroke-by-depth has no effect"),
-        ({"method": "refnpr", "reference": ("0=x.png",), "keep_frame": True}, "--reference gives none"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "style_scale": 1.0}, "--style-scale has no effect"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "reference_steps": 9}, "no effect with --reference;"),
+        ({"method": "refnpr", "style": "x", "reference_by": "adain", "image_rate": 0.1}, "with --reference-by adain"),
+        (
+            {"method": "refnpr", "reference": ("0=x.png",), "keep_frame": True},
+            "--keep-frame has no effect with --reference",
+        ),
     ],
 )
 def test_options_of_the_style_image_that_would_do_nothing_are_refused(options, words):

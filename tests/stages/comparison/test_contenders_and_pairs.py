@@ -141,7 +141,7 @@ def test_the_same_seed_gives_the_same_bytes(page, work, tmp_path):
 def test_named_fields_alone_are_compared(work, tmp_path):
     key = written_pairs([work], tmp_path, ("secret-red", "room/secret-blue"), 60, seed=0)
     assert {one["title"] for one in key["contenders"]} == {"room/secret-red", "room/secret-blue"}
-    with pytest.raises(UsageError, match="--of nowhere: no such stylization; expected one of no-frames"):
+    with pytest.raises(UsageError, match="--of nowhere: unknown stylization; choose from no-frames"):
         written_pairs([work], tmp_path, ("nowhere",), 60, seed=0)
     with pytest.raises(ArtifactStale, match="no two stylizations"):
         written_pairs([work], tmp_path, ("secret-red", "other-style"), 60, seed=0)

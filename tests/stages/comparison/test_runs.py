@@ -176,7 +176,7 @@ def test_unsound_options_of_a_run_leave_the_others(work, unsound):
     runs.stylized(work, scene, base, "odd", 20.0, STYLE, **unsound)
     by_name, gaps = found(work)
     assert "odd" not in by_name and "starry-arf" in by_name
-    assert [gap.what for gap in gaps if "does not hold sound options" in gap.why] == ["room/odd"]
+    assert [gap.what for gap in gaps if "does not hold valid options" in gap.why] == ["room/odd"]
 
 
 def test_no_two_groups_look_alike():

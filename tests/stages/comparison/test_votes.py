@@ -51,16 +51,16 @@ def test_sides_become_contenders_by_the_key(out):
 @pytest.mark.parametrize(
     ("votes", "changed", "message"),
     [
-        ([vote(9, "left")], {}, "votes on pair 9, which its page does not have"),
-        ([vote(1, "left"), vote(1, "right")], {}, "votes 2 times on pair 1"),
+        ([vote(9, "left")], {}, "contains a vote on pair 9, which is not on its page"),
+        ([vote(1, "left"), vote(1, "right")], {}, "contains 2 votes on pair 1"),
         ([vote(0, "up")], {}, "choice is 'up', expected one of left, right, same"),
         ([vote("0", "left")], {}, "pair is '0', expected a whole number"),
         ([vote(True, "left")], {}, "expected a whole number"),
         (["left"], {}, "expected an object"),
         ([vote(0, "left")], {"version": 2}, "version 1"),
-        ([vote(0, "left")], {"page": "../../etc"}, "not named by 64 hex digits"),
-        ([vote(0, "left")], {"page": "cd" * 32}, "whose key .* does not exist; give the --out"),
-        ([], {}, "no votes in it"),
+        ([vote(0, "left")], {"page": "../../etc"}, "its page ID is not 64 hex digits"),
+        ([vote(0, "left")], {"page": "cd" * 32}, "whose key .* does not exist; give the same --out"),
+        ([], {}, "no votes found"),
         ({}, {}, "expected a list"),
     ],
 )
@@ -72,13 +72,13 @@ def test_what_is_no_sound_file_of_votes_is_refused(out, votes, changed, message)
 
 def test_a_file_counts_once_and_damage_is_named(out):
     first = saved(out, [vote(0, "left")])
-    with pytest.raises(BadInput, match="holds the same votes as"):
+    with pytest.raises(BadInput, match="contains the same votes as"):
         read_votes([first, saved(out, [vote(0, "left")])], out)
     with pytest.raises(BadInput, match="no such file"):
         read_votes([out / "gone.json"], out)
     key = out / "pairs" / f"{PAGE}.json"
     key.write_text(key.read_text().replace('"left": 1', '"left": 7'))
-    with pytest.raises(BadInput, match="is not a key of a page: left is 7"):
+    with pytest.raises(BadInput, match="is not a valid page key: left is 7"):
         read_votes([first], out)
 
 

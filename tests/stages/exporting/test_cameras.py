@@ -101,7 +101,7 @@ def test_one_size_for_views_of_several_is_said(scene, tmp_path, format):
     for one, lines in ((scene, 0), (made, 1)):
         said = Said()
         exported(tmp_path / format / str(lines), {"scene": one}, said, kind="cameras", formats=format)
-        assert sum("does not hold the different sizes" in line for line in said.lines) == lines
+        assert sum("cannot store different sizes" in line for line in said.lines) == lines
 
 
 @pytest.mark.parametrize("format", ["transforms", "colmap"])

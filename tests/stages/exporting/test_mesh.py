@@ -202,7 +202,7 @@ def far_from_its_origin(scene: Artifact, work: WorkFolder) -> Artifact:
 @pytest.mark.parametrize("options", [SMALL, {"kind": "splats", "splats": 500, "budget": "1"}])
 def test_coordinates_that_float32_would_blur_are_refused(inputs, tmp_path, options):
     far = inputs | {"scene": far_from_its_origin(inputs["scene"], WorkFolder(tmp_path / "work"))}
-    with pytest.raises(BadInput, match=r"reach 4\.65e\+06, .* are 0\.5 apart, .*; export with --units scene"):
+    with pytest.raises(BadInput, match=r"reach 4\.65e\+06, .* are 0\.5 apart, too .*; export with --units scene"):
         exported(tmp_path / "made", far, formats="ply", **options)
     exported(tmp_path / "made", far, formats="ply", units="scene", **options)
 

@@ -90,7 +90,7 @@ def test_spz_holds_small_and_large_splats_or_says_what_it_loses(tmp_path, size):
     said = splat_files.lost_in_spz(written, bits)
     assert said.startswith(f"{clamped} of 50 splats are smaller") if clamped else said == ""
     assert bool(clamped) == (size == 1e-3)
-    assert "positions are in steps of 0.5" in splat_files.lost_in_spz(one, 1)
+    assert "positions are rounded to steps of 0.5" in splat_files.lost_in_spz(one, 1)
 
 
 def test_glb_has_the_same_numbers_for_pygltflib(tmp_path):

@@ -60,24 +60,24 @@ def test_options_that_only_some_methods_have_may_be_shared(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"scene": {}}, "there is no key 'scene'"),
+        ({"scene": {}}, "unknown key 'scene'"),
         ({"scenes": {}}, "scenes is empty"),
         ({"scenes": {"a/b": "photos"}}, "'a/b' is not a valid name"),
         ({"scenes": {"../x": "photos"}}, "not a valid name"),
-        ({"scenes": {"farm": "photos"}}, "scenes: farm is the name of a folder"),
+        ({"scenes": {"farm": "photos"}}, "scenes: farm is a reserved folder name"),
         ({"scenes": {"fox": {"fit": {}}}}, "scenes: fox has no source"),
-        ({"scenes": {"fox": "pho{to}s"}}, "Snakemake takes braces for wildcards"),
-        ({"scenes": {"fox": {"source": "photos", "fitt": {}}}}, "scenes: fox has no key 'fitt'"),
+        ({"scenes": {"fox": "pho{to}s"}}, "Snakemake treats braces as wildcards"),
+        ({"scenes": {"fox": {"source": "photos", "fitt": {}}}}, "scenes: fox has unknown key 'fitt'"),
         ({"styles": {"night": "day.png"}}, "styles: night is 'day.png'; expected the file of an image"),
         ({"methods": {"bold": {}}}, "methods: bold is not a method"),
         ({"methods": {"arf": {"stroke": "wide"}}}, "stroke takes a number"),
         ({"methods": {"arf": {"bend": 1.0}}}, "--bend is an option of --method desrf"),
         ({"methods": {"arf": {"style": "x.png"}}}, "names an image"),
         ({"methods": {"palettenerf": {}}}, "methods: palettenerf is not a method"),
-        ({"fit": {"budgett": "60s"}}, "there is no option 'budgett'; did you mean 'budget'?"),
+        ({"fit": {"budgett": "60s"}}, "unknown option 'budgett'; did you mean 'budget'?"),
         ({"fit": {"budget": "soon"}}, "budget 'soon' is neither a time"),
         ({"fit": [1]}, "fit is [1]; expected a mapping"),
-        ({"seeds": [0, 0]}, "each may be there once"),
+        ({"seeds": [0, 0]}, "list each seed once"),
         ({"seeds": [-1]}, "expected a whole number from 0"),
         ({"seeds": 3}, "seeds is 3; expected a list"),
         ({"seeds": [True]}, "is True; expected a whole number"),
@@ -88,9 +88,9 @@ def test_options_that_only_some_methods_have_may_be_shared(tmp_path):
         ({"container": "docker://$(id)"}, "expected an image"),
         ({"render": {"path": "test", "shards": 2}}, "2 shards need an orbit"),
         ({"render": {"count": 4, "shards": 5}}, "5 shards need"),
-        ({"render": {"frames": "0-1"}}, "give shards: N"),
+        ({"render": {"frames": "0-1"}}, "use shards: N"),
         ({"eval": {"path": "test"}}, "expected a camera path"),
-        ({"styles": {}, "methods": {"arf": {}}}, "stylize nothing without styles"),
+        ({"styles": {}, "methods": {"arf": {}}}, "methods need a style image"),
         ({"styles": {"a-b": "night.png", "a": "night.png"}, "methods": {"c": {"method": "arf"},
           "b-c": {"method": "arf"}}}, "would both be field a-b-c"),
     ],
@@ -106,7 +106,7 @@ def test_all_faults_are_named_at_once(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("scenes: {a: x}\nscenes: {b: y}", ":2: 'scenes' is there twice"),
+        ("scenes: {a: x}\nscenes: {b: y}", ":2: 'scenes' occurs twice"),
         ("a: &x [1]\nb: *x", "aliases"),
         ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
         ("[" * 3000, "nested too deeply"),
@@ -127,7 +127,7 @@ def test_hostile_yaml_is_refused_in_one_line(tmp_path, text, said):
 
 
 def test_a_missing_table_is_named(tmp_path):
-    with pytest.raises(UsageError, match="there is no such table"):
+    with pytest.raises(UsageError, match="table not found"):
         read_table(tmp_path / "none.yaml", build)
 
 

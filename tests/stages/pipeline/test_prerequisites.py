@@ -37,6 +37,6 @@ def test_a_field_of_an_older_import_is_used_with_a_note_of_each_reason(work, cap
     main([verb, str(work.root), *flags])
     notes = [line for line in capsys.readouterr().err.splitlines() if "out of date" in line]
     assert sorted(notes) == [
-        "field red is out of date: scene wall was made again after field red",
-        "field red is out of date: scene wall was made again after field wall",
+        "field red is out of date: scene wall was rebuilt after field red",
+        "field red is out of date: scene wall was rebuilt after field wall",
     ]

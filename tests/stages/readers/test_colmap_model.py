@@ -234,10 +234,14 @@ def rows_missing(root: Path) -> None:
 SAID = {
     "incomplete-beside-whole": (incomplete, "cameras.bin alone is not a model and is not used", 6),
     "incomplete-beside-llff": (incomplete_beside_llff, "sparse/0 lacks cameras or images and is not used", 6),
-    "damaged-binary-beside-text": (damaged_binary, "images.bin is damaged (cut short at byte", 6),
-    "another-text-beside-binary": (another_text, "its text is another model (4 photos, 4 of them as in the binary", 6),
+    "damaged-binary-beside-text": (damaged_binary, "images.bin is damaged (truncated at byte", 6),
+    "another-text-beside-binary": (
+        another_text,
+        "its text files hold a different model (4 photos, 4 of them as in the binary",
+        6,
+    ),
     "damaged-text-beside-binary": (damaged_text, "line 8: expected a photo", 6),
-    "several-models": (two_models, "found COLMAP model 0, of 6 photos (2 in 1; name another's folder for it)", 6),
+    "several-models": (two_models, "found COLMAP model 0, of 6 photos (2 in 1; to import another, give its folder)", 6),
     "one-of-several-damaged": (one_of_two, "sparse/1/images.txt is damaged (line 1: expected a photo", 6),
     "photos-that-are-missing": (rows_missing, "1 of 6 listed photos have no image file: 002.png", 5),
     "names-of-another-folder": (
@@ -338,9 +342,9 @@ def pipe(root: Path) -> None:
 
 REFUSED = {
     "incomplete": (alone, "is incomplete: it has cameras.bin, points3D.bin, and needs both cameras and images"),
-    "cut-short": (cut, "cameras.bin is damaged (cut short at byte"),
-    "counts-beyond-the-file": (counts_believed, "images.bin is damaged (cut short at byte 8 of 908"),
-    "bytes-left-over": (too_long, "images.bin is damaged (1 bytes too many"),
+    "cut-short": (cut, "cameras.bin is damaged (truncated at byte"),
+    "counts-beyond-the-file": (counts_believed, "images.bin is damaged (truncated at byte 8 of 908"),
+    "bytes-left-over": (too_long, "images.bin is damaged (1 extra bytes"),
     "no-regular-file": (pipe, "is incomplete"),
     "zero-quaternion": (
         with_pose(3, 1, "0", "0", "0", "0"),
@@ -357,13 +361,16 @@ REFUSED = {
     ),
     "two-lines-of-observations": (observations_alone, "line 4: expected a photo"),
     "unknown-camera": (with_pose(3, 8, "5"), "003.png has camera 5, which is missing"),
-    "photos-of-one-number": (two_of_one_number, "000.png and 004.png have one number, 1"),
-    "cameras-of-one-number": (cameras_of_one_number, "two cameras have the number 1"),
+    "photos-of-one-number": (two_of_one_number, "000.png and 004.png share the number 1"),
+    "cameras-of-one-number": (cameras_of_one_number, "two cameras have number 1"),
     "photos-of-one-file": (two_in_one_place, "a/000.png and b/000.png would both be the photo"),
     "names-that-are-none": (names_of("../", change=lambda _, f: [*f[:9], ".."]), "its photo is ''"),
-    "control-characters": (names_of("a\x1b[2J"), "its photo is 'a\\\\x1b[2J000.png', which holds control characters"),
+    "control-characters": (
+        names_of("a\x1b[2J"),
+        "its photo is 'a\\\\x1b[2J000.png', which contains control characters",
+    ),
     "names-not-in-utf-8": (latin, "images.txt is not UTF-8 text"),
-    "unknown-model": (lens("HOLOGRAM", 4), "camera 1 is of a model that is not known, HOLOGRAM"),
+    "unknown-model": (lens("HOLOGRAM", 4), "camera 1 has unknown model HOLOGRAM"),
     "lens-EQUIRECTANGULAR": (
         lens("EQUIRECTANGULAR", 2),
         "000.png: its camera model EQUIRECTANGULAR is not known; undistort the images first",
@@ -387,14 +394,14 @@ def damaged_beside_llff(root: Path) -> None:
 
 def test_a_damaged_model_beside_other_poses_names_the_format_that_works(capture, tmp_path):
     damaged_beside_llff(capture)
-    with pytest.raises(BadInput, match=r"images\.bin is damaged.*or take other poses.*--format llff$"):
+    with pytest.raises(BadInput, match=r"images\.bin is damaged.*or use the other poses found.*--format llff$"):
         imported(capture, tmp_path / "work")
     assert dots.error(imported(capture, tmp_path / "work", format="llff", test_every=0)) < 0.15
 
 
 def test_escapes_in_a_model_do_not_reach_the_terminal(capture, tmp_path):
     text(capture, camera="1 PIN\x1b[2JHOLE 4 4 4 4 4 4\n")
-    with pytest.raises(BadInput, match=r"not known, PIN\\x1b\[2JHOLE"):
+    with pytest.raises(BadInput, match=r"unknown model PIN\\x1b\[2JHOLE"):
         imported(capture, tmp_path / "work")
 
 

@@ -303,7 +303,7 @@ REFUSED = {
         lambda root: metashape(root, head='<!DOCTYPE document SYSTEM "file:///etc/passwd">'),
         "it declares a document type",
     ),
-    "metashape-skew": (lambda root: metashape(root, {"f": 150, "b2": 9}), "camera 000: its lens has a skew (b2 9)"),
+    "metashape-skew": (lambda root: metashape(root, {"f": 150, "b2": 9}), "camera 000: its lens has skew (b2 9)"),
     "metashape-fisheye-tangential": (
         lambda root: metashape(root, {"f": 150, "p1": 0.1}, "fisheye"),
         "a fisheye with p1",
@@ -311,23 +311,23 @@ REFUSED = {
     "metashape-spherical": (lambda root: metashape(root, kind="spherical"), "its sensor is of type spherical"),
     "metashape-one-label": (
         lambda root: metashape(root, labels=["000", "000", *NAMES[2:]]),
-        "two cameras are called '000'",
+        "two cameras are named '000'",
     ),
     "metashape-cut-short": (
         lambda root: (metashape(root), (root / "cameras.xml").write_text((root / "cameras.xml").read_text()[:900])),
-        "is not XML of Metashape",
+        "is not a Metashape XML file",
     ),
     "metashape-other-xml": (
         lambda root: (photos(root), (root / "cameras.xml").write_text("x")),
-        "is not XML of Metashape",
+        "is not a Metashape XML file",
     ),
     "opensfm-spherical": (
         lambda root: opensfm(root, "spherical", {"focal": 1}),
-        "its projection spherical is not read",
+        "its projection spherical is not supported",
     ),
     "opensfm-other-json": (
         lambda root: (photos(root), (root / "reconstruction.json").write_text("{}")),
-        "is not a list of OpenSfM's reconstructions",
+        "is not a list of OpenSfM reconstructions",
     ),
     "opensfm-camera-missing": (
         lambda root: opensfm(root, change=lambda part: part | {"cameras": {}}),
@@ -335,9 +335,12 @@ REFUSED = {
     ),
     "polycam-other-json": (
         lambda root: polycam(root, spoil={"t_00": "x"}),
-        "000.json: t_00 holds 'x', expected a number",
+        "000.json: t_00 contains 'x', expected a number",
     ),
-    "record3d-too-few-poses": (lambda root: record3d(root, poses=[[0, 0, 0, 1, 0, 0, 0]] * 3), "holds 3 poses, but"),
+    "record3d-too-few-poses": (
+        lambda root: record3d(root, poses=[[0, 0, 0, 1, 0, 0, 0]] * 3),
+        "has 3 poses, too few for",
+    ),
     "record3d-no-rotation": (lambda root: record3d(root, poses=[[0] * 7] * 6), "pose 0: its quaternion has length 0"),
 }
 
@@ -370,7 +373,7 @@ def test_a_resolution_of_metashape_with_thousands_of_digits_is_refused(tmp_path)
 def test_deeply_nested_xml_is_refused(tmp_path):
     metashape(tmp_path / "capture")
     (tmp_path / "capture/cameras.xml").write_text("<document>" * 300_000)
-    with pytest.raises(BadInput, match="is not XML of Metashape"):
+    with pytest.raises(BadInput, match="is not a Metashape XML file"):
         imported(tmp_path / "capture", tmp_path / "work")
 
 
@@ -399,7 +402,7 @@ def test_named(tmp_path, row):
     with pytest.raises(BadInput) as reported:
         imported(root, tmp_path / "work")
     line = str(reported.value)
-    assert f"{name} holds poses of {tool}, which are not supported" in line and line.endswith("with --format photos")
+    assert f"{name} contains poses of {tool}, which are not supported" in line and line.endswith("with --format photos")
     assert found_in(root, "photos").kind == "photos"
     write_colmap(root)
     assert found_in(root).kind == "colmap"

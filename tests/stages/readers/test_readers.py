@@ -124,7 +124,7 @@ def test_of_several_models_the_one_of_most_photos_is_taken_and_reported(source, 
     said = Said()
     scene = scene_of(imported(source, tmp_path / "work", said))
     assert len(scene.views) == 4
-    assert "found COLMAP model 10, of 4 photos (2 in 0, 2 in 2; name another's folder for it)" in said.lines
+    assert "found COLMAP model 10, of 4 photos (2 in 0, 2 in 2; to import another, give its folder)" in said.lines
     assert len(scene_of(imported(sparse / "2", tmp_path / "other")).views) == 2
 
 
@@ -204,7 +204,7 @@ def test_the_folder_of_most_photos_is_taken_and_the_others_are_named(posed, tmp_
 
 def test_photos_in_folders_below_are_named_where_none_is_found(tmp_path):
     write_png(tmp_path / "images" / "cam1" / "p.png", np.full((36, 48, 3), 90, np.uint8))
-    with pytest.raises(BadInput, match=r"images holds no photos, but .*cam1 does; give --images images/cam1$"):
+    with pytest.raises(BadInput, match=r"images contains no photos, but .*cam1 does; give --images images/cam1$"):
         photos_of(tmp_path)
 
 

@@ -94,10 +94,10 @@ FAULTS = {
     "negative": (changed("fx", -3.0), "focal length -3"),
     "no rotation": (changed("rotation", [[1, 0, 0]] * 3), "im_02: "),
     "two rows": (changed("rotation", [[1, 0, 0]] * 2), "camera 2: its rotation is not a list of 3 rows"),
-    "huge": (changed("width", 10**9), "gives a size of 1e"),
+    "huge": (changed("width", 10**9), "has an invalid size of 1e"),
     "elsewhere": (
         lambda listed: [one | {"position": [1e5, 0, 0], "rotation": np.eye(3).tolist()} for one in listed],
-        "no camera sees a splat",
+        "no camera sees any splat",
     ),
 }
 
@@ -119,7 +119,7 @@ def test_every_camera_keeps_a_name_of_its_own(tmp_path):
 
 def test_what_splats_need_and_what_others_do_not_take(output, tmp_path):
     alone = write_ply(tmp_path / "a" / "b" / "c" / "alone.ply", ball(10))
-    with pytest.raises(BadInput, match="comes without cameras; name them with --cameras"):
+    with pytest.raises(BadInput, match="comes without cameras; give them with --cameras"):
         imported(alone, tmp_path / "w")
     with pytest.raises(BadInput, match=r"--cameras nowhere\.json: no such file"):
         files_of(alone, "nowhere.json")

@@ -122,7 +122,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     assert "cx is nan" in refusal(source, listed(cx=math.nan))
     assert "fl_y is inf" in refusal(source, listed(fl_y=math.inf))
-    assert "frame 2: transform_matrix holds NaN" in refusal(
+    assert "frame 2: transform_matrix contains NaN" in refusal(
         source, on_frames(listed(), {}, {}, {"transform_matrix": np.full((4, 4), np.nan).tolist()})
     )
 
@@ -155,8 +155,8 @@ def _(source, tmp_path):
     for name in ("transforms_train", "transforms_test", "transforms_val", "transforms"):
         found = read(source, listed(frames=listed()["frames"][:2]), f"{name}.json")
     assert found.remarks == (
-        "not used beside transforms_test.json and transforms_train.json: transforms.json, transforms_val.json; to use "
-        "one, give its path instead of the folder",
+        "ignored in favor of transforms_test.json and transforms_train.json: transforms.json, transforms_val.json; to "
+        "use one, give its path instead of the folder",
     )
     assert len(read(source / "transforms.json").cameras) == 2
 
@@ -165,7 +165,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     for name in "ba":
         found = read(source, listed(frames=listed()["frames"][: 2 + (name == "b")]), f"transforms_{name}.json")
-    assert len(found.cameras) == 2 and "not used beside transforms_a.json: transforms_b.json" in found.remarks[0]
+    assert len(found.cameras) == 2 and "ignored in favor of transforms_a.json: transforms_b.json" in found.remarks[0]
 
 
 @row("files-colmap")
@@ -206,9 +206,7 @@ def _(source, tmp_path):
 @row("splits-lost")
 def _(source, tmp_path):
     found = read(source, listed(train_filenames=[*NAMES, "images/p09.png"]))
-    assert any(
-        "train_filenames names 1 photo (images/p09.png), for which there is no frame" in it for it in found.remarks
-    )
+    assert any("train_filenames names 1 photo (images/p09.png) without a frame" in it for it in found.remarks)
     assert "expected a list of photos" in refusal(source, listed(train_filenames=NAMES[0]))
 
 
@@ -224,7 +222,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     found = read(source, listed(test_filenames=NAMES[:1]))
     assert [one.split for one in found.cameras] == ["test", "train", "train", "train"]
-    assert "has no train_filenames: all frames but the test frames are trained on" in found.remarks[0]
+    assert "has no train_filenames: training on all frames except the test frames" in found.remarks[0]
 
 
 @row("n-frames")
@@ -264,7 +262,7 @@ def _(source, tmp_path):
     here = str(source / "images" / "p00.png")
     found = read(source, with_paths(here, "/home/me/room/images/p01.png", "C:\\room\\images\\p02.png"))
     assert [one.image and one.image.name for one in found.cameras] == ["p00.png", "p01.png", "p02.png", "p03.png"]
-    assert found.remarks == ("transforms.json: its photos are looked for by the ends of their paths, beside it",)
+    assert found.remarks == ("transforms.json: looking for its photos next to it by the ends of their paths",)
     assert read(source, with_paths("elsewhere/images/p00.png")).cameras[0].image is None  # no end of a relative path
 
 
@@ -275,8 +273,7 @@ def _(source, tmp_path):
     found = read(source, with_paths("images/p00.png", "../p01.png", str(tmp_path / "p02.png")))
     assert all(one.image for one in found.cameras)
     assert found.remarks == tuple(
-        f"transforms.json: pictures from outside of its folder are used: {path}"
-        for path in ("../p01.png", tmp_path / "p02.png")
+        f"transforms.json: using pictures outside its folder: {path}" for path in ("../p01.png", tmp_path / "p02.png")
     )
     scene = scene_of(imported(source, tmp_path / "work"))
     assert not any(".." in view.name or view.name.startswith("/") for view in scene.views)
@@ -343,10 +340,10 @@ def _(source, tmp_path):
     np.testing.assert_allclose(lens(source, tmp_path / "b", bare, images="images_2"), found)
     for photo in (source / "images").iterdir():
         photo.unlink()
-    assert "has no w and h: its lens is assumed to be that of the photos of --images" in " ".join(
+    assert "has no w and h: assuming that its lens is that of the photos in --images" in " ".join(
         read(source, images="images_2").remarks
     )
-    assert "--images images_4: no such folder" in refusal(source, listed(), images="images_4")
+    assert "--images images_4: folder not found" in refusal(source, listed(), images="images_4")
 
 
 # -- lenses ------------------------------------------------------------------------------------------------------------
@@ -419,10 +416,10 @@ def _(source, tmp_path):
         found = lens(source, tmp_path / str(number), listed(**change, cx=20.0))
         np.testing.assert_allclose(found, [[45, 45, 20, 18]] * 4)
     capture.write_transforms(source, listed(w=96, h=72))
-    with pytest.raises(BadInput, match="the photo is 48x36 where its camera says 96x72"):
+    with pytest.raises(BadInput, match="the photo is 48x36, but its camera expects 96x72"):
         imported(source, tmp_path / "other")
     capture.write_transforms(source, listed(w=47, h=...))
-    with pytest.raises(BadInput, match="the photo is 48x36 where its camera says 47x36"):
+    with pytest.raises(BadInput, match="the photo is 48x36, but its camera expects 47x36"):
         imported(source, tmp_path / "one side")
 
 
@@ -500,7 +497,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     found = read(source, with_poses(lambda pose: pose * [2.5, 2.5, 2.5, 1]))
     np.testing.assert_allclose(poses(found), TRUE_POSES, atol=1e-12)
-    assert "the matrices of 4 frames are scaled, by 2.5 to 2.5: their rotations are taken" in found.remarks[0]
+    assert "the matrices of 4 frames are scaled, by 2.5 to 2.5: only their rotations are used" in found.remarks[0]
 
 
 @row("pose-no-rotation")
@@ -607,7 +604,7 @@ def _(source, tmp_path):
 def _(source, tmp_path):
     write_png(source / "masks" / "p00.png", LEFT[:, :40])
     capture.write_transforms(source, listed())
-    with pytest.raises(BadInput, match=r"p00\.png is 40x36 where its photo is 48x36; make it of the same size"):
+    with pytest.raises(BadInput, match=r"p00\.png is 40x36, but its photo is 48x36; make them the same size"):
         imported(source, tmp_path / "work")
 
 
@@ -676,7 +673,7 @@ def _(source, tmp_path):
     cases = [[tripod] * 4, [corner] * 4, [rim] * 4, [sky, sky, whole, sky], passers, [hood] * 4]
     for number, masks in enumerate(cases):
         layout, said = layout_with(source, tmp_path / str(number), *masks)
-        assert layout != "object" and any("cut no object out" in line for line in said), number
+        assert layout != "object" and any("not to cut out an object" in line for line in said), number
 
 
 @row("mask-of-an-object")
@@ -701,7 +698,9 @@ def _(source, tmp_path):
 @row("alpha-file")
 def _(source, tmp_path):
     write_png(source / "images" / "p01.alpha.png", LEFT)
-    assert "not used: alpha of its own beside photos, as p01.alpha.png" in " ".join(read(source, listed()).remarks)
+    assert "not used: separate alpha files next to photos, such as p01.alpha.png" in " ".join(
+        read(source, listed()).remarks
+    )
 
 
 # -- what is not used --------------------------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def test_chosen_frames_are_sharp_and_even_in_motion(chosen):
     gaps = np.delete(gaps, across)
     assert gaps.std() < 0.5 * gaps.mean() and gaps.max() < 2.2 * gaps.mean()
     assert gaps.std() / gaps.mean() < np.diff(ANGLES).std() / np.diff(ANGLES).mean() + 0.1
-    assert f"chose {len(kept)} of 60 frames, even in motion and sharp" in said.lines[-1]
+    assert f"chose {len(kept)} of 60 frames, sharp ones at even steps of motion" in said.lines[-1]
 
 
 def test_chosen_frames_are_upright_and_named_by_their_times(chosen, walk):
@@ -92,7 +92,7 @@ def test_frames_of_a_clip_with_a_long_name_can_be_written(tmp_path):
 
 def test_a_still_clip_is_refused(walk, tmp_path):
     clip = write_clip(tmp_path / "still.mp4", [walk[0]] * 10, np.arange(10) / 30)
-    with pytest.raises(BadInput, match=r"still.mp4: the picture moves by 0\.\d% .* a camera that moves"):
+    with pytest.raises(BadInput, match=r"still.mp4: the picture moves by 0\.\d% .* if the camera moves"):
         frames_as_photos([clip], 5, tmp_path / "frames", Context())
 
 
@@ -103,7 +103,7 @@ def test_video_is_found_where_there_are_no_photos(clip, walk, tmp_path):
     (tmp_path / "b2.MOV").write_bytes(clip.read_bytes())
     found = found_in(tmp_path)
     assert found.kind == "photos"
-    assert found.remarks == ("video is not used beside photos (b2.MOV, b10.mp4); --format video takes it",)
+    assert found.remarks == ("video is ignored because there are photos (b2.MOV, b10.mp4); --format video imports it",)
     assert [one.name for one in clips_of(tmp_path)] == ["b2.MOV", "b10.mp4"]
 
 

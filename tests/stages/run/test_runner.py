@@ -329,7 +329,7 @@ def test_a_file_that_is_gone_at_the_end_does_not_cost_the_run(tmp_path):
         return figures
 
     work = WorkFolder(tmp_path / "work")
-    with pytest.raises(BadInput, match=r"style\.png is gone, which .* needs to the end; put it back") as gone:
+    with pytest.raises(BadInput, match=r"style\.png was removed while .* needed it; put it back") as gone:
         execute(spec, moved, work, "fox", {}, config, Context())
     assert gone.value.keeps_run and list((tmp_path / "work").rglob("*.partial"))
     (tmp_path / "elsewhere.png").rename(style)
@@ -631,7 +631,7 @@ def test_an_input_altered_while_a_stage_read_it_gives_no_result(tmp_path):
 def test_an_input_made_again_while_a_stage_read_it_gives_no_result(tmp_path):
     work = WorkFolder(tmp_path)
     source = source_of(work)
-    with pytest.raises(ArtifactStale, match="scene fox was rebuilt while `stylerf toy` read it"):
+    with pytest.raises(ArtifactStale, match="scene fox was rebuilt while `stylerf toy` was using it"):
         toy(work, inputs={"scene": source}, function=_during(lambda: source_of(work, seed=1)))
     assert not (tmp_path / "field" / "fox").exists()
 

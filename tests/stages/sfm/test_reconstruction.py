@@ -72,7 +72,7 @@ def test_the_poses_of_the_room(room, tmp_path):
     scene = scene_of(artifact)
     assert [view.name for view in scene.views] == [camera.name for camera in CAMERAS]
     assert [(one.source, one.reason) for one in scene.skipped] == [
-        ("p90.png", "it is the same file as p01.png"), ("p91.png", "it is black"),
+        ("p90.png", "it is identical to p01.png"), ("p91.png", "it is black"),
         ("p92.HEIC", "unsupported format; convert it to JPEG or PNG"),
     ]  # fmt: skip
     assert psnr(load_scene(artifact).images(2), taken / 255) > 25  # a little undistorted
@@ -246,7 +246,7 @@ def test_black_photos(tmp_path):
 def test_copies_of_one_photo(room, tmp_path):
     for number in range(4):
         (tmp_path / f"{number}.png").write_bytes((room / "p00.png").read_bytes())
-    assert "1 of 4 photos can be used (1.png: it is the same file as 0.png)" in refused(tmp_path, tmp_path)
+    assert "1 of 4 photos can be used (1.png: it is identical to 0.png)" in refused(tmp_path, tmp_path)
 
 
 def test_photos_of_noise(tmp_path):
@@ -260,7 +260,7 @@ def test_a_truncated_photo(room, tmp_path):
     for photo in room.iterdir():
         data = photo.read_bytes()
         (tmp_path / photo.name).write_bytes(data[: len(data) // 2] if photo.name == "p03.png" else data)
-    assert "p03.png cannot be read whole" in refused(tmp_path, tmp_path)
+    assert "p03.png cannot be read completely" in refused(tmp_path, tmp_path)
 
 
 def test_photos_turned_on_the_spot(tmp_path):
@@ -270,7 +270,7 @@ def test_photos_turned_on_the_spot(tmp_path):
     ]
     write_photos(tmp_path, cameras)
     line = refused(tmp_path, tmp_path)
-    assert "turn on the spot" in line or "parallax" in line or "placed only" in line
+    assert "turns in place" in line or "parallax" in line or "placed only" in line
 
 
 def test_poses_that_contradict_the_photos_are_found_out(finished):
@@ -323,7 +323,7 @@ def test_masked_features_are_dropped_and_unmasked_photos_keep_all(room, tmp_path
     job = Job(str(tmp_path), tuple(map(str, photos)), masks)
     tell = JobProgress(io.StringIO())
     every = photo_copies.make_copies(job, tell)
-    assert [one.unusable for one in every] == ["", "", "", "all of it is cut out"]
+    assert [one.unusable for one in every] == ["", "", "", "it is fully masked"]
     used = photo_copies.usable(every, 3)
     path = colmap_database.register(job, used, tell)
     colmap_database.extract(job, path, used, tell)
@@ -336,7 +336,7 @@ def test_masked_features_are_dropped_and_unmasked_photos_keep_all(room, tmp_path
 def test_a_mask_of_another_size(room, tmp_path):
     shutil.copytree(room, tmp_path / "images")
     write_png(tmp_path / "masks" / "p03.png", np.full((90, 90), 255, np.uint8))
-    assert "p03.png is 90x90 where its photo is 240x180; make it of the same size" in refused(tmp_path, tmp_path / "o")
+    assert "p03.png is 90x90, but its photo is 240x180; make them the same size" in refused(tmp_path, tmp_path / "o")
 
 
 def lego(data_dir, count: int) -> list[np.ndarray]:

@@ -65,7 +65,7 @@ def test_errors_of_the_page_leave_a_run_its_end(monkeypatch):
     runs = Runs(changed=changed)
     run = runs.start(["fit"], ended.append)
     assert run.wait() == 0 and ended == [run]
-    assert {"one", "two", "the page could not follow: gone"} == set(run.lines)
+    assert {"one", "two", "the page could not show this run: gone"} == set(run.lines)
     assert runs.start(["fit"]).wait() == 0
 
 

@@ -40,8 +40,8 @@ def test_a_crop_stays_within_the_painting():
     ("name", "content", "words"),
     [
         ("a.png", b"no image", "style.png"),
-        ("a.exe", b"MZ", "is one of"),
-        ("a", painting()[0], "is one of"),
+        ("a.exe", b"MZ", "expected a style image in one of"),
+        ("a", painting()[0], "expected a style image in one of"),
         ("a.png", b"\0" * 50_000_001, "at most 50 MB"),
     ],
 )

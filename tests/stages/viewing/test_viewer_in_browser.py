@@ -200,7 +200,7 @@ def test_a_second_viewer_is_told_who_holds_the_folder(viewer):
 def test_a_port_in_use_and_an_empty_folder_are_reported(viewer, tmp_path):
     furnished(tmp_path / "work")
     port = int(viewer.url.rpartition(":")[2])
-    with pytest.raises(OutOfResources, match=f"--port {port} cannot be served"):
+    with pytest.raises(OutOfResources, match=f"--port {port} is not available"):
         Viewer(tmp_path / "work", ViewConfig(port=port, open=False), 1)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ArtifactStale, match="no scene"):
