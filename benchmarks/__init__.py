@@ -1,1 +1,1 @@
-"""Measurements: one command per table, results as JSON in results/."""
+"""Benchmarks: one command per table, with results as JSON in results/."""

@@ -1,13 +1,13 @@
-"""Ours beside the official TensoRF code: `python -m benchmarks.beside_tensorf DATA OUT.json SHIPPED.json SHORT.json`.
+"""Compare with the official TensoRF code: `python -m benchmarks.beside_tensorf DATA OUT.json SHIPPED.json SHORT.json`.
 
-The last two are what `python -m benchmarks.tensorf` wrote: its schedule as it is, and compressed to its steps. With
-$STYLERF_BENCH_WORK our work folder is kept there, and what it holds is not made again.
+The last two are outputs of `python -m benchmarks.tensorf`: its schedule as shipped, and compressed to its steps. With
+$STYLERF_BENCH_WORK, our work folder is kept there and existing results are reused.
 
-Protocol: lego's training photos at 200x200 for all. Ours: `stylerf fit --budget Ns`, again for each N until its fit has
-28 dB, then once for 60 s; the mean PSNR of all test views by `stylerf eval`; the time to a quality is the smallest N
-that reaches it. Theirs: see benchmarks/tensorf.py, three test views, evenly spread, looked at every 50 steps. Data
-loading, compiling and judging are on nobody's clock. Peak memory is that of the process, ours of the fit of 60 s. One
-seed.
+Protocol: lego's training photos at 200x200 for both. Ours: `stylerf fit --budget Ns`, a separate fit for each N until
+one reaches 28 dB, then one for 60 s; mean PSNR of all test views by `stylerf eval`; the time to a quality is the
+smallest N that reaches it. Theirs: see benchmarks/tensorf.py, three evenly spaced test views, evaluated every 50 steps.
+Data loading, compilation and evaluation are excluded from all times. Peak memory is that of the process, for ours of
+the 60 s fit. One seed.
 """
 
 import json
@@ -25,12 +25,12 @@ LONG = 60
 
 
 def time_to(curve: list[dict], quality: float) -> float | None:
-    """Seconds of the first entry of a curve {seconds, psnr} that has `quality` dB; None if none has."""
+    """Return the seconds of the first entry of a curve {seconds, psnr} that reaches `quality` dB; None if none does."""
     return next((entry["seconds"] for entry in curve if entry["psnr"] >= quality), None)
 
 
 def row(code: str, schedule: str, curve: list[dict], parameters: int, memory: float) -> dict:
-    """A line of the table."""
+    """Return a row of the table."""
     times = {f"seconds_to_{quality:.0f}_db": time_to(curve, quality) for quality in QUALITIES}
     last = curve[-1]
     return {
@@ -40,7 +40,7 @@ def row(code: str, schedule: str, curve: list[dict], parameters: int, memory: fl
 
 
 def ours(data: Path, work: Path) -> dict:
-    """Fits of growing budgets."""
+    """Return the row of our fits with increasing budgets."""
     folder, flags = SCENES[SCENE]
     stylerf("import", str(data / folder), str(work), *flags)
     curve = []
@@ -57,7 +57,7 @@ def ours(data: Path, work: Path) -> dict:
 
 
 def theirs(report: dict) -> dict:
-    """Of what benchmarks/tensorf.py wrote."""
+    """Return the row for an output of benchmarks/tensorf.py."""
     schedule = "as shipped" if report["name"] == "shipped" else f"compressed to {report['command'].split()[-1]} steps"
     return row("TensoRF", schedule, report["curve"], report["parameters"], report["peak_memory_mb"])
 

@@ -1,10 +1,10 @@
 """Accuracy against size: `python -m benchmarks.capacity DATA OUT.json [BUDGET [SCENE...]]`.
 
-With $STYLERF_BENCH_WORK the work folders are kept there.
+With $STYLERF_BENCH_WORK, the work folders are kept there.
 
-Protocol: every scene is fitted at each fixed capacity (vertices x density rank x color rank, climbed to as the product
-does) and with `--capacity grow`, all for BUDGET (seconds of training, or steps) on the same rays, one seed; mean PSNR
-of the test views by `stylerf eval`.
+Protocol: every scene is fitted at each fixed capacity (vertices x density rank x color rank, grown to as in the
+product) and with `--capacity grow`, all for BUDGET (seconds of training, or steps) on the same rays, one seed; mean
+PSNR of the test views by `stylerf eval`.
 """
 
 import json
@@ -17,13 +17,13 @@ from benchmarks.conditions import here_and_now
 from benchmarks.fits import SCENES, stylerf
 
 CAPACITIES = ("128x8x16", "192x16x24", "256x16x24", "grow")
-# As far as a field may grow in a contraction.
+# The largest capacity of a field in a contraction.
 BEYOND = {"fox 270x480": ("384x16x24",)}
 BUDGET = "60s"
 
 
 def imported(data: Path, name: str, work: Path) -> None:
-    """A scene of benchmarks.fits, or `still life`: the demo's."""
+    """Import a scene of benchmarks.fits, or create the demo's `still life`."""
     if name != "still life":
         folder, flags = SCENES[name]
         stylerf("import", str(data / folder), str(work), *flags)
@@ -39,7 +39,7 @@ def imported(data: Path, name: str, work: Path) -> None:
 
 
 def measure(name: str, capacity: str, budget: str, work: Path) -> dict:
-    """One row."""
+    """Return one row."""
     label = f"capacity-{capacity}"
     requested = "grow" if capacity == "grow" else f"fixed:{capacity}"
     options = "--budget", budget, "--capacity", requested, "--no-buffers", "--name", label

@@ -1,13 +1,13 @@
-"""What real captures gain by what is done for them: `python -m benchmarks.captures DATA OUT.json [STEPS [SCENE...]]`.
+"""Ablation of the measures for real captures: `python -m benchmarks.captures DATA OUT.json [STEPS [SCENE...]]`.
 
-With $STYLERF_BENCH_WORK the work folders are kept there.
+With $STYLERF_BENCH_WORK, the work folders are kept there.
 
-Protocol: every capture is fitted as the product does, and once more without each measure, all for STEPS steps on the
-same rays, one seed. `psnr`, `ssim`: means over the test views by `stylerf eval`. `near`: the share of test pixels whose
-depth is under a third of their view's median depth, in percent: a capture has next to nothing there but floaters.
-`heavy`: how many samples of a test ray weigh more than 0.01, a mean: a ray that meets one surface has one or two.
-`occupied`: the share of the occupancy grid's cells, in percent.
-Steps rather than seconds: a busy machine changes nothing.
+Protocol: every capture is fitted with the product's defaults, and once without each measure, all for STEPS steps on the
+same rays, one seed. `psnr`, `ssim`: means over the test views by `stylerf eval`. `near`: percentage of test pixels
+whose depth is below a third of their view's median depth, where captures have hardly anything but floaters. `heavy`:
+mean number of samples per test ray with a weight above 0.01; a ray that hits one surface has one or two. `occupied`:
+percentage of occupied cells in the occupancy grid. Budgets are in steps rather than seconds, so the load of the machine
+does not matter.
 """
 
 import json
@@ -23,8 +23,8 @@ from benchmarks.fits import SCENES, stylerf
 
 CAPTURES = ("fox 270x480", "fern 504x378", "flower 504x378", "cup 400x300")
 STEPS = 700
-HEAVY = 0.01  # weight of a sample that a ray plainly shows
-# By name: what is left out or exchanged, by layout where that decides.
+HEAVY = 0.01  # weight above which a sample is clearly visible
+# By name: flags that disable or replace a measure, by layout.
 MEASURES = {
     "defaults": {},
     "no near-camera gradient scaling": {"unbounded": ("--near-scaling-distance", "0")},
@@ -40,7 +40,7 @@ MEASURES = {
 
 
 def near_share(depths: list[np.ndarray]) -> float:
-    """Percent of pixels nearer than a third of the median depth of their view; depths [h, w], 0: nothing there."""
+    """Return the percentage of pixels nearer than a third of their view's median depth; depths: [h, w], 0: empty."""
     shares = []
     for depth in depths:
         seen = depth[depth > 0]
@@ -50,7 +50,7 @@ def near_share(depths: list[np.ndarray]) -> float:
 
 
 def depths_of(work: Path, name: str) -> list[np.ndarray]:
-    """[h, w] of every test view of a field."""
+    """Return the depth [h, w] of every test view of a field."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
@@ -66,7 +66,7 @@ def depths_of(work: Path, name: str) -> list[np.ndarray]:
 
 
 def heavy_samples(work: Path, name: str) -> float:
-    """Mean number of samples that weigh more than HEAVY, of every 37th ray of the test views."""
+    """Return the mean number of samples with a weight above HEAVY, over every 37th ray of the test views."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
@@ -88,7 +88,7 @@ def heavy_samples(work: Path, name: str) -> float:
 
 
 def layout_of(work: Path) -> str:
-    """object, forward or unbounded."""
+    """Return object, forward or unbounded."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.scene import load_scene
 
@@ -96,7 +96,7 @@ def layout_of(work: Path) -> str:
 
 
 def measure(scene: str, layout: str, name: str, steps: int, work: Path) -> dict | None:
-    """A row; None where the measure does not concern this layout."""
+    """Return a row, or None if the measure does not apply to this layout."""
     flags = MEASURES[name].get(layout, ())
     if not flags and MEASURES[name]:
         return None

@@ -1,11 +1,11 @@
 """Charts of README and docs from results, as deterministic SVG text."""
 
-# Figures that no method minimizes.
+# Metrics that no method optimizes directly.
 PARETO = {"fits": ("psnr", "held-out PSNR, dB", True), "stylizations": ("sifid", "style distance, SIFID", False)}
 
 
 def drawn(size: tuple[float, float], draw) -> str:
-    """SVG text of a figure that `draw(figure)` fills; the same data gives the same text."""
+    """Return the SVG text of a figure filled by `draw(figure)`; the same data gives the same text."""
     import io
 
     from stylerf.environment.matplotlib_defaults import Figure, rc_context
@@ -58,7 +58,7 @@ def fits_chart(report: dict) -> str:
 
 
 def capacity_chart(report: dict) -> str:
-    """PSNR against parameters, one panel per scene; fixed sizes joined, searched ones filled."""
+    """PSNR against parameters, one panel per scene; fixed sizes connected, searched ones filled."""
     scenes = list(dict.fromkeys(row["scene"] for row in report["rows"]))
 
     def draw(figure) -> None:
@@ -82,7 +82,7 @@ def capacity_chart(report: dict) -> str:
 
 
 def pareto_chart(report: dict) -> str:
-    """Quality against seconds, a column per scene: fits above, stylizations below, Pareto fronts filled and joined."""
+    """Quality against seconds, a column per scene: fits above, stylizations below, Pareto fronts filled and linked."""
     from stylerf.metrics.pareto import pareto_front
 
     scenes = list(dict.fromkeys(row["work"] for row in report["rows"]))
@@ -108,7 +108,7 @@ def pareto_chart(report: dict) -> str:
 
 
 def stress_chart(report: dict) -> str:
-    """The heat map of `stylerf stress` over all scenes together: successful runs of all runs."""
+    """The heat map of `stylerf stress` over all scenes combined: fraction of successful runs."""
     sums: dict[tuple[str, str], list[int]] = {}
     for row in report["rows"]:
         both = sums.setdefault((row["method"], row["fault"]), [0, 0])
@@ -168,7 +168,7 @@ def tensorf_chart(report: dict) -> str:
 
 
 def unlike(names: list[str]) -> list[str]:
-    """Hyphenated names without the leading and trailing parts that all of them share."""
+    """Return hyphenated names without the leading and trailing parts that all of them share."""
     parts = [name.split("-") for name in names]
     while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[0] for name in parts}) == 1:
         parts = [name[1:] for name in parts]

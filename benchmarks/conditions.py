@@ -1,4 +1,4 @@
-"""Where and when a figure was measured: what every result file says of itself."""
+"""Where and when figures were measured, as recorded in every result file."""
 
 import os
 import platform
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def here_and_now() -> dict:
-    """JSON: machine (cpu, cores), python, date (UTC)."""
+    """Return JSON: machine (cpu, cores), python, date (UTC)."""
     return {
         "machine": {"cpu": _model() or platform.processor() or platform.machine(), "cores": os.cpu_count()},
         "python": platform.python_version(),

@@ -1,7 +1,7 @@
-"""Before and after of local edits: `python -m benchmarks.edit_sheet WORK OUT.png REGION VIEW,VIEW EDIT...`.
+"""Local edits before and after: `python -m benchmarks.edit_sheet WORK OUT.png REGION VIEW,VIEW EDIT...`.
 
-One row a view: the photo, the region over it, the field before, and each edited field. The frames of the test views
-must be there (`stylerf eval WORK --of EDIT --region REGION` renders them).
+One row per view: the photo, the photo with the region highlighted, the original field, and each edited field. The
+frames of the test views must exist (`stylerf eval WORK --of EDIT --region REGION` renders them).
 """
 
 import sys
@@ -16,20 +16,20 @@ from schemas.images import read_image, to_uint8, write_png
 from schemas.work_folder import Artifact, WorkFolder
 from stages.artifacts.scene import load_scene
 
-SIDE = 300  # pixels of a picture's longer side
+SIDE = 300  # pixels, an image's longer side
 GAP = 6
-MARGIN = 8  # rows of a white background that are left above and below
+MARGIN = 8  # rows of white background kept above and below
 TINT = np.array([1.0, 0.1, 0.8])
 
 
 def picture(frames: Artifact, name: str) -> np.ndarray:
-    """[h, w, 3] a frame over the scene's background."""
+    """Return a frame over the scene's background, [h, w, 3]."""
     frame = next(one for one in read_frames(frames.path).views if one.name == name)
     return read_image(frames.file(frame.png)).pixels[..., :3]
 
 
 def region_over(frames: Artifact, name: str, region: str, photo: np.ndarray) -> np.ndarray:
-    """The photo, tinted where a frame's EXR has the region."""
+    """Return the photo, tinted where a frame's EXR shows the region."""
     found = read_frames(frames.path)
     frame = next(one for one in found.views if one.name == name)
     channel = f"mask.{found.masks[region]}"
@@ -38,7 +38,7 @@ def region_over(frames: Artifact, name: str, region: str, photo: np.ndarray) -> 
 
 
 def small(image: np.ndarray) -> np.ndarray:
-    """Its longer side SIDE pixels."""
+    """Return the image scaled to a longer side of SIDE pixels."""
     scale = SIDE / max(image.shape[:2])
     return resize(image, (round(image.shape[0] * scale), round(image.shape[1] * scale), 3), anti_aliasing=scale < 1)
 

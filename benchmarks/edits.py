@@ -1,12 +1,12 @@
-"""Local edits of the real scenes: `python -m benchmarks.edits FITTED OUT.json STYLES [CASES]`.
+"""Local edits of real scenes: `python -m benchmarks.edits FITTED OUT.json STYLES [CASES]`.
 
-FITTED holds a work folder for each scene, fitted for 60 s (`python -m benchmarks.fits` with $STYLERF_BENCH_WORK leaves
-them); each is copied, nothing in it is changed. STYLES holds the paintings.
+FITTED holds a work folder per scene, fitted for 60 s (kept by `python -m benchmarks.fits` with $STYLERF_BENCH_WORK);
+each is copied and not modified. STYLES holds the paintings.
 
 Protocol: `stylerf edit` with the flags below, one after another, then `stylerf eval --of EDIT --region EDIT` on the
-held-out views. Seconds are those of the stages' manifests, selection apart from the rest: a user looks at previews in
-between. Background: pixels of which at most half lies in the region as the unedited field shows it, and two pixels
-around it left out; against the photos. One seed.
+held-out views. Seconds are from the stages' manifests, with selection listed separately, since a user looks at previews
+in between. Background: pixels that are at most half inside the region as shown by the unedited field, excluding two
+pixels around it; compared with the photos. One seed.
 """
 
 import json
@@ -25,7 +25,7 @@ CUP = ["--at", "13:200,125", "--at", "13:150,140", "--at", "13:190,105", "--at",
 CUP += ["--tolerance", "14", "--avoid", "13:330,200", "--avoid", "13:60,60", "--avoid", "13:300,60"]
 PLANT = ["--at", "image005:231,200", "--at", "image005:180,110", "--tolerance", "14"]
 PLANT += ["--avoid", "image005:450,300", "--avoid", "image005:230,325", "--avoid", "image005:80,80"]
-# name: (work folder, flags of the selection, what becomes of it)
+# name: (work folder, selection flags, edit flags)
 CASES = {
     "lego shovel, recolored": ("lego-400x400", SHOVEL, ["--recolor", "--palette", "all=#2050d0"]),
     "lego shovel, starry_night": ("lego-400x400", SHOVEL, ["--style", "starry_night.jpg"]),
@@ -38,13 +38,13 @@ PUBLISHED = {"edit-dataset": 16, "edit": 133, "scene": 32, "field": 129}  # LAEN
 
 
 def stylerf(*arguments: str) -> dict:
-    """One command, its --json object."""
+    """Run one command; return its --json object."""
     command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def measure(fitted: Path, styles: Path, case: str, kept: Path) -> dict:
-    """One row: an edit from the selection to the taught field, and its evaluation."""
+    """Return one row: an edit from selection to fine-tuned field, and its evaluation."""
     folder, selection, look = CASES[case]
     work = kept / folder
     if not work.exists():
@@ -54,7 +54,7 @@ def measure(fitted: Path, styles: Path, case: str, kept: Path) -> dict:
     name = case.replace(", ", "-").replace(" ", "-")
     load = round(os.getloadavg()[0], 2)
     made = stylerf("edit", str(work), *selection, *look, "--name", name)
-    # A changed palette was learned by the edit before it.
+    # A changed palette was learned by the preceding edit.
     trained = f"{name}-learned" if "--palette" in look else name
     learned = json.loads((work / "edit" / trained / "manifest.json").read_text())
     seconds = dict(made["seconds"])

@@ -1,10 +1,10 @@
-"""What a look at an image costs: `python -m benchmarks.extractor OUT.json`.
+"""The cost of feature extraction: `python -m benchmarks.extractor OUT.json`.
 
-Protocol: features of an image and the gradient back to it, as a style step needs them, by direct convolutions (oneDNN,
-channels last) and by Winograd's (stylerf/style/cpu_convolution.py) in turn, REPEATS times each in one process; medians
-of the seconds, and of the ratios of neighbors in time. GFLOP/s count the multiplications and additions of direct
-convolutions, forward and back, so that Winograd's may exceed what the processor can do. Transport: targets of 2048
-features among 4096, each layer once.
+Protocol: features of an image and the gradient with respect to it, as in a style step, using direct convolutions
+(oneDNN, channels last) and Winograd convolutions (stylerf/style/cpu_convolution.py) alternately, REPEATS times each in
+one process; medians of the seconds, and of the ratios of consecutive runs. GFLOP/s count the multiplications and
+additions of direct convolutions, forward and backward, so Winograd's may exceed the processor's peak. Transport:
+targets for 2048 features among 4096, each layer once.
 """
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from stylerf.environment.performance import keep_freed_pages, wait_passively
 
-wait_passively()  # as the command does, before torch is loaded
+wait_passively()  # as in the command-line tool, before torch is loaded
 
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
@@ -61,7 +61,7 @@ def main() -> int:
 
 
 def look(extractor: FeatureExtractor, image: torch.Tensor) -> float:
-    """Seconds for features of an image and the gradient of their mean square."""
+    """Return the seconds for an image's features and the gradient of their mean square."""
     image = image.clone().requires_grad_()
     return timed(lambda: torch.autograd.grad(sum(f.square().mean() for f in extractor(image)), image))
 
@@ -73,7 +73,7 @@ def timed(work) -> float:
 
 
 def arithmetic(extractor: FeatureExtractor, height: int, width: int) -> float:
-    """Multiplications and additions of the convolutions of an image, forward."""
+    """Return the number of multiplications and additions in an image's convolutions, forward pass."""
     total = 0.0
     for layer in extractor.built:
         scale = 2 ** (int(layer[4]) - 1)

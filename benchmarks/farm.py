@@ -1,21 +1,22 @@
-"""Kills, and a simulated cluster, under a table of small jobs.
+"""Fault injection (kills) and a simulated cluster, on a table of small jobs.
 
     python -m benchmarks.farm kills OUT.json [--scenes 5] [--seed 0]
     python -m benchmarks.farm slurm OUT.json [--scenes 2] [--seed 0]
 
-Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps, one thread a job) with one scene
-that does not exist is run undisturbed. Then it is run in a second folder, where a third of all attempts are ended by
-SIGKILL at a random share of the median time of their verb, and where `stylerf farm` is itself killed twice, Snakemake
-and all, and started again; while it runs, the same command is started a second time and must be refused. At the end
-the digests of all files of all artifacts must be those of the undisturbed run, and of evaluations the figures; nothing
-may be left of interrupted runs, `stylerf verify` must find every work folder sound, and the bad scene alone must be
-named. Jobs are children of a server that has imported stylerf and loaded its kernels, so that a job takes seconds.
+Protocol of `kills`: a table of tiny captures (48x36, 4 photos, budgets in steps, one thread per job) with one
+nonexistent scene is run undisturbed. It is then run in a second folder, where a third of all attempts are killed by
+SIGKILL at a random fraction of their verb's median time, and where `stylerf farm` itself is killed twice, including
+Snakemake, and restarted; while it runs, the same command is started a second time and must be refused. At the end, the
+digests of all files of all artifacts (for evaluations: the figures) must equal those of the undisturbed run, nothing
+may be left of interrupted runs, `stylerf verify` must find every work folder intact, and only the nonexistent scene may
+be reported. Jobs are children of a server that has imported stylerf and loaded its kernels, so that a job takes
+seconds.
 
 Protocol of `slurm`: such a table is run undisturbed on this machine, then with --profile slurm, where sbatch, sacct,
-scancel and srun are stand-ins (tests/slurm_stand_in.py) that run jobs here, late; 15 % of them are preempted and
-queued again, 15 % die with their node, 10 % are reported as lost while they run on; a tenth of the queries of states
-fails. At the end the digests must be those of the undisturbed run. This simulates what a cluster does to jobs; no
-figure of it is a measurement of a cluster.
+scancel and srun are stand-ins (tests/slurm_stand_in.py) that run jobs locally, with delays; 15 % of the jobs are
+preempted and requeued, 15 % die with their node, 10 % are reported as lost while they are still running; a tenth of the
+status queries fails. At the end, the digests must equal those of the undisturbed run. This simulates the behavior of a
+cluster; its figures are not measurements of a cluster.
 """
 
 import argparse
@@ -49,7 +50,7 @@ HERE = ("--cores", "2")
 def farm(
     table: Path, server: JobServer, log: Path, flags: Sequence[str] = HERE, env: dict[str, str] | None = None
 ) -> "subprocess.Popen[bytes]":
-    """Start the command; Snakemake's words go to `log`."""
+    """Start the command; Snakemake's output goes to `log`."""
     with open(log, "ab") as stream:
         return subprocess.Popen(
             [sys.executable, "-m", "stylerf_cli.main", "farm", str(table), "--json", *flags],
@@ -58,7 +59,7 @@ def farm(
 
 
 def small_table(folder: Path, scenes: int, **more: object) -> Path:
-    """A table of tiny captures, one of which does not exist."""
+    """Write a table of tiny captures, one of which does not exist."""
     table = write_table(folder, scenes, 2, **more)
     content = json.loads(table.read_text())
     content["scenes"]["bad"] = "nowhere"
@@ -67,36 +68,36 @@ def small_table(folder: Path, scenes: int, **more: object) -> Path:
 
 
 def differing(one: dict[str, dict], other: dict[str, dict]) -> list[str]:
-    """Artifacts that are not the same, or not in both."""
+    """Return the artifacts that differ or exist in only one of them."""
     return [f"{scene}/{name}" for scene in one for name in one[scene] | other[scene]
             if one[scene].get(name) != other[scene].get(name)]  # fmt: skip
 
 
 def left_over(table: Path, scenes: int) -> list[str]:
-    """Partial runs and temporary files in the work folders."""
+    """Return partial runs and temporary files in the work folders."""
     return [name for number in range(scenes) for name in leftovers(table.with_suffix("") / f"scene{number}")]
 
 
 def result_of(command: "subprocess.Popen[bytes]") -> dict:
-    """Its JSON and exit code."""
+    """Return the command's JSON and exit code."""
     out, _ = command.communicate()
     return {"code": command.returncode, **(json.loads(out) if out.strip() else {})}
 
 
 def digests(table: Path, scenes: int) -> dict[str, dict]:
-    """What `contents` finds, by scene."""
+    """Return contents() by scene."""
     return {f"scene{number}": contents(table.with_suffix("") / f"scene{number}") for number in range(scenes)}
 
 
 def killed_whole(command: "subprocess.Popen[bytes]", after: float) -> bool:
-    """Kill the command and Snakemake after so many seconds; whether they still ran."""
+    """Kill the command and Snakemake after `after` seconds; return whether they were still running."""
     try:
         command.wait(after)
         return False
     except subprocess.TimeoutExpired:
         pass
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children").read_text().split()
-    for child in children:  # Snakemake leads a group of its own
+    for child in children:  # Snakemake has its own process group
         os.killpg(int(child), signal.SIGKILL)
     command.kill()
     command.communicate()
@@ -104,7 +105,7 @@ def killed_whole(command: "subprocess.Popen[bytes]", after: float) -> bool:
 
 
 def kills(scenes: int, seed: int, folder: Path) -> dict:
-    """The campaign; what happened."""
+    """Run the campaign of kills; return what happened."""
     chance, commands = Random(seed), warming(folder / "warming")
     tables = [small_table(folder / name, scenes, seeds=2) for name in ("undisturbed", "killed")]
 
@@ -167,7 +168,7 @@ def kills(scenes: int, seed: int, folder: Path) -> dict:
 
 
 def slurm(scenes: int, seed: int, folder: Path) -> dict:
-    """A table on the stand-in; what happened."""
+    """Run a table on the simulated cluster; return what happened."""
     shape = {"eval": False, "methods": {"arf": {}}, "render": {**RENDER, "shards": 1}}
     tables = [small_table(folder / name, scenes, **shape) for name in ("undisturbed", "cluster")]
     server = JobServer(folder / "server", warm=warming(folder / "warming"))
@@ -205,7 +206,7 @@ def slurm(scenes: int, seed: int, folder: Path) -> dict:
 
 
 def main() -> int:
-    """Run what is asked for and write its result; 1 if anything was wrong."""
+    """Run the requested campaign and write its result; return 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="benchmarks.farm", description=__doc__.split("\n\n")[0])
     parser.add_argument("what", choices=["kills", "slurm"])
     parser.add_argument("out", type=Path)

@@ -1,10 +1,10 @@
-"""`python -m benchmarks.files_to_read PHOTOS OUT.json`: how many files a reader opens to follow a command.
+"""How many files a reader must open to follow a command: `python -m benchmarks.files_to_read PHOTOS OUT.json`.
 
-`stylerf fit` and `stylerf stylize --method arf` are run on a few small photos, on the CPU, and every function of the
-project that is really called is recorded, and every class that is instantiated. What runs only because a module is
-imported is not: nobody reads it to follow the command. Kernels are compiled, so that no call of theirs is seen: from
-the functions that were called, those named in stylerf/kernels/cpu are followed statically. OUT.json holds, for each
-command, the number of files, their lines, and their names.
+`stylerf fit` and `stylerf stylize --method arf` are run on a few small photos on the CPU, recording every function of
+the project that is actually called and every class that is instantiated. Code that only runs on import is excluded:
+nobody reads it to follow the command. Calls of compiled kernels cannot be recorded, so kernels in stylerf/kernels/cpu
+are followed statically from the functions that were called. OUT.json holds, for each command, the number of files,
+their lines, and their names.
 """
 
 import ast
@@ -22,7 +22,7 @@ KERNELS = ROOT / "stylerf" / "kernels" / "cpu"
 
 
 def while_importing(frame: Any) -> bool:
-    """Whether a module of the project is being imported further up the stack."""
+    """Whether a module of the project is being imported further up the call stack."""
     while frame is not None:
         code = frame.f_code
         if code.co_name == "<module>" and code.co_filename.startswith(tuple(f"{ROOT}/{one}/" for one in PACKAGES)):
@@ -32,7 +32,7 @@ def while_importing(frame: Any) -> bool:
 
 
 class Recorder:
-    """Collects (file, function) of every call of the project's code."""
+    """Collects (file, function) for every call of the project's code."""
 
     def __init__(self) -> None:
         self.called: set[tuple[str, str]] = set()
@@ -50,7 +50,7 @@ class Recorder:
             self.called.add((path, name))
 
     def run(self, *command: Any) -> set[tuple[str, str]]:
-        """What one command calls."""
+        """Return the calls made by one command."""
         from stylerf_cli.main import main
 
         self.called = set()
@@ -67,7 +67,7 @@ class Recorder:
 
 @cache
 def parsed(path: Path) -> tuple[dict[str, ast.AST], dict[str, tuple[Path, str]]]:
-    """(definitions at the top of a file and methods by qualified name, imports as (file, name; "" for the module))."""
+    """Return (top-level definitions and methods by qualified name, imports as (file, name; "" for the module))."""
     tree = ast.parse(path.read_text())
     found: dict[str, ast.AST] = {}
     for node in tree.body:
@@ -89,7 +89,7 @@ def parsed(path: Path) -> tuple[dict[str, ast.AST], dict[str, tuple[Path, str]]]
 
 
 def kernels_of(called: set[tuple[str, str]]) -> set[Path]:
-    """Files of the CPU kernels that these functions name, directly or through other kernels."""
+    """Return the files of the CPU kernels that these functions use, directly or through other kernels."""
     waiting, seen, files = [(Path(path), name) for path, name in called], set(), set()
     while waiting:
         path, name = waiting.pop()

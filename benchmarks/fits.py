@@ -1,10 +1,10 @@
-"""Fit the real scenes and measure held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
+"""Fit real scenes and evaluate held-out views: `python -m benchmarks.fits DATA OUT.json BUDGETS [NAMES]`.
 
-With $STYLERF_BENCH_WORK the work folders are kept there.
+With $STYLERF_BENCH_WORK, the work folders are kept there.
 
-Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (the clock is the training itself, without
-reading, compiling, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or the files' own)
-on white for objects, on black for captures. One seed. Peak memory is that of the fit's process.
+Protocol: `stylerf import` with the flags below, `stylerf fit --budget B` (only training itself is timed, without
+reading, compilation, decisions or rendering), `stylerf eval`: mean PSNR of the test views (every 8th, or those defined
+by the files) on white for objects, on black for captures. One seed. Peak memory is that of the fit's process.
 """
 
 import json
@@ -27,13 +27,13 @@ SCENES = {
 
 
 def stylerf(*arguments: str) -> dict:
-    """One command, its --json object."""
+    """Run one command; return its --json object."""
     command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def measure(data: Path, name: str, budget: str, work: Path) -> dict:
-    """One row: a scene at a budget."""
+    """Return one row: a scene at a budget."""
     folder, flags = SCENES[name]
     stylerf("import", str(data / folder), str(work), *flags)
     label = f"fit-{budget}"

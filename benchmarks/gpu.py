@@ -1,14 +1,14 @@
-"""The GPU path measured: `python -m benchmarks.gpu DATA OUT.json [PARTS]`.
+"""Benchmark the GPU path: `python -m benchmarks.gpu DATA OUT.json [PARTS]`.
 
 DATA holds lego, fern and styles (see benchmarks/fits.py). PARTS: ceilings, kernels, lego, fern, arf, desrf, edit,
-render; all if none is named. Writes no figure where there is no GPU: it stops.
+render; default: all. Without a GPU, it stops without writing any figures.
 
 Protocol: fits, stylizations and edits are the stylerf commands below with --device cuda, one process each; seconds are
-the manifests' (training alone where it says so). Lego is refitted for each budget; its time to a quality is the
-smallest budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fits
-of lego and fern, kept on the device. Kernels: median of 30 launches after 5, timed by events while the host is ahead,
-on an empty cache, inputs random. `bound` counts each input once and each output once; what a kernel gathers again from
-the cache is not counted, so its share of the bandwidth is a lower bound. One seed.
+from the manifests (training only where noted). Lego is refitted for each budget; its time to a quality is the smallest
+budget whose fit reaches it on the test views, white background. Frames are whole views of the longest fits of lego and
+fern, kept on the device. Kernels: median of 30 launches after 5 for warm-up, timed by events while the host is ahead,
+with a cold cache and random inputs. `bound` counts each input once and each output once; repeated reads from the cache
+are not counted, so the share of the bandwidth is a lower bound. One seed.
 """
 
 import json
@@ -28,16 +28,16 @@ from benchmarks import gpu_deform
 
 BUDGETS = ("5s", "10s", "20s", "40s")
 GOALS = (31.0, 33.0)
-BUSY_CYCLES = 10_000_000  # some milliseconds: the host queues any of these calls meanwhile
+BUSY_CYCLES = 10_000_000  # a few milliseconds, in which the host can queue any of these calls
 SHOVEL = ["--at", "r_10:600,180", "--at", "r_10:488,200", "--neck", "0", "--tolerance", "26", "--reach", "0.38"]
 
 
 class NoGpu(SystemExit):
-    """Nothing was measured."""
+    """Raised if there is no GPU to measure."""
 
 
 def device_here() -> torch.device:
-    """The GPU, or NoGpu in one line."""
+    """Return the GPU; raise NoGpu with a one-line reason if there is none."""
     from stylerf.kernels.gpu import interpreted, unavailable
 
     why = "Triton's interpreter is on (TRITON_INTERPRET=1)" if interpreted() else unavailable()
@@ -47,16 +47,16 @@ def device_here() -> torch.device:
 
 
 def stylerf(*arguments: str) -> dict:
-    """One command, its --json object."""
+    """Run one command; return its --json object."""
     command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
     return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, float]:
-    """(median, spread: half of the range of the middle half) of one call, seconds.
+    """Return (median, spread: half of the interquartile range) of one call, seconds.
 
-    On a GPU the call finds its cache empty, and the device busy until the host has queued all of it: between the two
-    events lies the device's time alone.
+    On a GPU, the cache is cold, and the device is kept busy until the host has queued the whole call, so the two events
+    measure only the device's time.
     """
     times = []
     flush = torch.empty(1 << 30, dtype=torch.uint8, device=device) if device.type == "cuda" else None
@@ -81,7 +81,7 @@ def seconds_of(call, device: torch.device, repeats: int = 30) -> tuple[float, fl
 
 
 def ceilings(device: torch.device, megabytes: int = 2048, side: int = 8192, repeats: int = 30) -> dict:
-    """Copy bandwidth (bytes read plus bytes written) and matrix products' rate."""
+    """Return the copy bandwidth (bytes read plus bytes written) and the rate of matrix products."""
     source = torch.rand(megabytes << 18, device=device)
     target = torch.empty_like(source)
     copy, _ = seconds_of(lambda: target.copy_(source), device, repeats)
@@ -97,10 +97,10 @@ KINDS = ("vm", "stylized", "hash", "voxel", "hash-mlp")
 
 
 def random_field(vertices: int, kind: str = "vm"):
-    """A box of thin fog at the ranks of the capacity levels, with half of its cells occupied.
+    """Return a box of thin fog with the ranks of the capacity levels and half of its cells occupied.
 
-    kind: of density and color (hash-mlp: of the color behind a vm density); stylized: a vm density and the hash
-    color of a stylization. A voxel grid keeps all of its blocks.
+    kind: of density and color (hash-mlp: of the color of a vm density); stylized: a vm density with a stylization's
+    hash color. A voxel grid keeps all of its blocks.
     """
     from stylerf.fields.hash_grid import HashColor
     from stylerf.fields.occupancy_grid import OccupancyGrid
@@ -121,7 +121,7 @@ def random_field(vertices: int, kind: str = "vm"):
 
 
 def random_rays(count: int, device: torch.device):
-    """Rays towards the middle of the box from around it."""
+    """Return rays towards the center of the box from around it."""
     from stylerf.kernels.gpu.ray_samples import GpuRays
 
     generator = np.random.default_rng(1)
@@ -132,7 +132,7 @@ def random_rays(count: int, device: torch.device):
 
 
 def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertices: int = 192, repeats=30) -> list[dict]:
-    """Each kernel's time on one batch, and the share of the bandwidth that its fewest bytes would need."""
+    """Return each kernel's time on one batch, and its minimum bytes per second as a fraction of the bandwidth."""
     rows = []
     for kind in KINDS:
         calls, samples = launches(device, rays, vertices, kind)
@@ -150,7 +150,7 @@ def kernels(device: torch.device, bandwidth: float, rays: int = 1 << 15, vertice
 
 
 def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple[dict, int]:
-    """({kernel: (a launch of it, fewest bytes it moves)}, samples) on random rays through a random field."""
+    """Return ({kernel: (its launch, minimum bytes moved)}, samples) for random rays through a random field."""
     from benchmarks import gpu_edit
     from stylerf.fields.gpu.field import GpuField
     from stylerf.kernels.cpu.adam import AdamRates
@@ -167,10 +167,10 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
     )
     wanted, background = torch.rand((rays, 4), device=device), torch.rand((rays, 3), device=device)
     density, color, ways = 4 * len(to_density), 4 * len(to_color), going.directions
-    named = {"stylized": "hash sum"}.get(kind, kind)  # its levels are added up, without a head
+    named = {"stylized": "hash sum"}.get(kind, kind)  # its levels are summed, without a head
 
     def adam() -> None:
-        to_color.fill_(1e-9)  # else every run would be skipped
+        to_color.fill_(1e-9)  # otherwise, every run would be skipped
         state = GpuAdamState(field.color.values, to_color, *moments)
         launch.adam(state, AdamRates(1e-9, 0.9, 0.99, 1e-15, 0.1, 0.01), 0, len(to_color))
 
@@ -205,7 +205,7 @@ def launches(device: torch.device, rays: int, vertices: int, kind: str) -> tuple
 
 
 def fitted(data: Path, work: Path, scene: str, flags: list[str], budget: str) -> dict:
-    """One fit and its figures on the test views."""
+    """Run one fit; return its figures on the test views."""
     stylerf("import", str(data / scene), str(work), *flags)
     name = f"fit-{budget}"
     common = ["--budget", budget, "--no-buffers", "--name", name]
@@ -219,7 +219,7 @@ def fitted(data: Path, work: Path, scene: str, flags: list[str], budget: str) ->
 
 
 def memory_of(work: Path, kind: str, name: str) -> dict:
-    """Seconds of the whole stage, its peak memory on the host and on the GPU, by its manifest."""
+    """Return the seconds of the whole stage and its peak memory on host and GPU, from its manifest."""
     manifest = json.loads((work / kind / name / "manifest.json").read_text())
     return {
         "device": manifest["device"], "wall_seconds": round(manifest["seconds"], 1),
@@ -228,13 +228,13 @@ def memory_of(work: Path, kind: str, name: str) -> dict:
 
 
 def time_to(rows: list[dict]) -> dict:
-    """The smallest budget's training seconds at which each goal was reached; null: at none."""
+    """Return, for each goal, the training seconds of the smallest budget that reached it; null: none did."""
     reached = {goal: [row["train_seconds"] for row in rows if row["psnr"] >= goal] for goal in GOALS}
     return {f"seconds_to_{goal:g}_db": min(found) if found else None for goal, found in reached.items()}
 
 
 def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
-    """A stylization of the fern in the work folder, by the starry night."""
+    """Stylize the fern in the work folder with the starry night; return the row."""
     source = ["--of", f"fit-{BUDGETS[2]}"]
     if method == "desrf":
         stylerf("deform", str(work), *source, "--device", "cuda", "--name", "bent")
@@ -250,7 +250,7 @@ def stylized(data: Path, work: Path, method: str, budget: str = "30s") -> dict:
 
 
 def edited(work: Path) -> dict:
-    """A whole local edit of the lego in the work folder."""
+    """Run a complete local edit of the lego in the work folder; return the row."""
     name = "shovel"
     requested = ["--of", f"fit-{BUDGETS[2]}", *SHOVEL, "--recolor", "--palette", "0=#2050d0", "--name", name]
     seconds = stylerf("edit", str(work), *requested, "--device", "cuda")["seconds"]
@@ -258,7 +258,7 @@ def edited(work: Path) -> dict:
 
 
 def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dict:
-    """Whole views a second, the pictures left on the device."""
+    """Return whole views per second, with images kept on the device."""
     from stylerf.rendering.view_gpu import GpuRenderer
 
     made = GpuRenderer(field, device)
@@ -273,7 +273,7 @@ def frames(field, cameras: list, device: torch.device, repeats: int = 30) -> dic
 
 
 def frames_of(work: Path, name: str, device: torch.device) -> dict:
-    """frames() of a fit, at the test views."""
+    """Return frames() for a fit at its test views."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
@@ -288,7 +288,7 @@ PARTS = ("ceilings", "kernels", "lego", "fern", "arf", "desrf", "edit", "render"
 
 
 def measure(part: str, data: Path, kept: Path, report: dict, device: torch.device) -> None:
-    """Adds one part to the report; later parts stand on earlier ones' work folders."""
+    """Add one part to the report; later parts use the work folders of earlier ones."""
     lego, fern = kept / "lego", kept / "fern"
     if part == "ceilings":
         report[part] = ceilings(device)
@@ -312,7 +312,7 @@ def measure(part: str, data: Path, kept: Path, report: dict, device: torch.devic
 
 
 def machine_of(device: torch.device) -> dict:
-    """What was measured on."""
+    """Return a description of the machine."""
     import triton
 
     properties = torch.cuda.get_device_properties(device)
@@ -339,7 +339,7 @@ def main(arguments: list[str]) -> None:
             try:
                 measure(part, data, kept, report, device)
             except Exception as error:
-                # Report a part that fails and measure the others: GPU time is short.
+                # Report a failed part and measure the others: GPU time is scarce.
                 words = getattr(error, "stderr", None) or str(error)
                 report[part] = {"failed": f"{type(error).__name__}: {words[-600:]}"}
             print(part, json.dumps(report[part]), flush=True)

@@ -1,15 +1,15 @@
-"""What a moving deformation adds to the kernels of benchmarks/gpu.py: launches, and the fewest bytes that they move."""
+"""Additional kernels of a trained deformation, for benchmarks/gpu.py: launches, and the minimum bytes they move."""
 
 import torch
 
-VERTICES = 32  # a side of the displacement grid
-REACH = 4  # cells that it moves anything by
+VERTICES = 32  # per side of the displacement grid
+REACH = 4  # largest displacement, cells
 
 
 def launches(kind: str, field, rays, rendered, of_sigma: torch.Tensor, of_colors: torch.Tensor) -> dict:
-    """{kernel: (a launch of it, fewest bytes it moves)} on a DeviceField's rays and what composite_backward gave.
+    """Return {kernel: (its launch, minimum bytes moved)} for a field's rays and the results of composite_backward.
 
-    kind: vm, or stylized: then its color's kernel alone, as the others are those of a vm field.
+    kind: vm, or stylized: then only its color's kernel, since the others are the same as for vm.
     """
     from stylerf.kernels.gpu import launch
 

@@ -1,4 +1,4 @@
-"""The kernels that a local edit adds, for the `kernels` part of benchmarks/gpu.py; imported where there is Triton."""
+"""Additional kernels of a local edit, for the `kernels` part of benchmarks/gpu.py; imported only if Triton exists."""
 
 import numpy as np
 import torch
@@ -10,7 +10,7 @@ from stylerf.kernels.gpu import launch
 
 
 def launches(rendered, of_colors: torch.Tensor, wanted: torch.Tensor) -> dict:
-    """{kernel: (a launch of it, fewest bytes it moves)} on rendered random rays; half of the cells are the edit's."""
+    """Return {kernel: (its launch, minimum bytes moved)} for rendered random rays; half of the cells are edited."""
     generator, cells = np.random.default_rng(2), 128
     base = HashColor.create(generator)
     part = GpuRegionColor(

@@ -1,10 +1,10 @@
 """Kinds of fields at equal time: `python -m benchmarks.kinds DATA OUT.json [BUDGET [SCENE...]]`.
 
-With $STYLERF_BENCH_WORK the work folders are kept there.
+With $STYLERF_BENCH_WORK, the work folders are kept there.
 
-Protocol: every scene is fitted with each kind of field, growing as the product does, all for BUDGET (seconds of
-training, or steps), one seed; mean PSNR and SSIM of the test views by `stylerf eval`; Mrays/s: of rendering those views
-to no file, the median of PASSES over all of them after one that is not counted. Peak memory: of the fit's process.
+Protocol: every scene is fitted with each kind of field, growing as in the product, all for BUDGET (seconds of training,
+or steps), one seed; mean PSNR and SSIM of the test views by `stylerf eval`; Mrays/s: for rendering those views without
+writing files, median of PASSES passes over all of them after one warm-up pass. Peak memory: of the fit's process.
 """
 
 import json
@@ -32,7 +32,7 @@ BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378")
 
 
 def rays_a_second(work: Path, name: str) -> float:
-    """Of the test views of a field."""
+    """Return the rendering speed for the test views of a field, rays per second."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.field import load_field
     from stages.artifacts.scene import load_scene
@@ -55,7 +55,7 @@ def rays_a_second(work: Path, name: str) -> float:
 
 
 def measure(scene: str, kind: str, budget: str, work: Path) -> dict:
-    """A row."""
+    """Return a row."""
     label = "kind-" + kind.replace(", ", "-").replace(" ", "-")
     load = round(os.getloadavg()[0], 2)
     fitted = stylerf("fit", str(work), "--budget", budget, "--no-buffers", "--name", label, *KINDS[kind])

@@ -1,12 +1,12 @@
 """A large capture in bounded memory: `python -m benchmarks.large FOLDER OUT.json [STEP ...]`.
 
-STEP: photos, scene, memory, stream, render (default: all in turn; FOLDER keeps what is done, about 3 GB).
+STEP: photos, scene, memory, stream, render (default: all, in this order; FOLDER keeps the results, about 3 GB).
 
-Protocol: the procedural still life from 300 places, rendered at 100x75 and enlarged to 1600x1200 with noise of +-3 of
-255 on every opaque pixel, RGBA: 2.3 GB of pixels; a scene of them, made without importing. `stylerf fit --capacity
-fixed:128 --budget STEPS --memory 8G`, which keeps the photos in memory; the same with --memory 2500M, which reads them
-from a file; the two fields compared bit by bit; `stylerf render --frames 0-3`. Peak memory is that of each command's
-process (VmHWM, mapped files included), milliseconds a step are of the training alone.
+Protocol: the procedural still life from 300 viewpoints, rendered at 100x75 and enlarged to 1600x1200 with noise of +-3
+of 255 on every opaque pixel, RGBA: 2.3 GB of pixels; a scene of them, created without importing. `stylerf fit
+--capacity fixed:128 --budget STEPS --memory 8G`, which keeps the photos in memory; the same with --memory 2500M, which
+reads them from a file; the two fields are compared bit by bit; `stylerf render --frames 0-3`. Peak memory is that of
+each command's process (VmHWM, including mapped files); milliseconds per step are for training only.
 """
 
 import json
@@ -31,7 +31,7 @@ BOUNDS = {"memory": "8G", "stream": "2500M"}
 
 
 def photos(folder: Path, work: Path) -> dict:
-    """Writes those that are missing."""
+    """Write the missing photos."""
     life, begun = StillLife(0), time.perf_counter()
     cameras = dome_cameras(VIEWS, SMALL, "train", 0, angle_x=ANGLE_X)
     noise = np.random.default_rng(0).integers(-3, 4, (SIZE[1], SIZE[0], 3), dtype=np.int16)
@@ -49,13 +49,13 @@ def photos(folder: Path, work: Path) -> dict:
 
 
 def taken(work: Path, kind: str, name: str) -> dict:
-    """What an artifact took to make."""
+    """Return the time and memory that creating an artifact took."""
     manifest = json.loads((work / kind / name / "manifest.json").read_text())
     return {"wall_seconds": round(manifest["seconds"], 1), "peak_memory_mb": round(manifest["peak_memory_mb"])}
 
 
 def scene_of(folder: Path, work: Path) -> dict:
-    """The scene, made at once: importing would decode and write every photo again, one at a time."""
+    """Create the scene directly: importing would decode and rewrite every photo, one at a time."""
     begun = WorkFolder(work).begin("scene", "main", Recipe("pose_import", 1, {}, []))
     focal, views = 0.5 * SIZE[0] / np.tan(0.5 * ANGLE_X), []
     (begun.path / "images").mkdir()
@@ -71,7 +71,7 @@ def scene_of(folder: Path, work: Path) -> dict:
 
 
 def fit(folder: Path, work: Path, way: str) -> dict:
-    """One fit, its photos kept in one `way`."""
+    """Run one fit, with its photos in memory or streamed (`way`); return the row."""
     name = f"fit-{way}"
     more = ("--budget", STEPS, "--capacity", "fixed:128", "--no-buffers", "--name", name, "--memory", BOUNDS[way])
     figures = stylerf("fit", str(work), *more)["figures"]
@@ -85,7 +85,7 @@ def fit(folder: Path, work: Path, way: str) -> dict:
 
 
 def rendered(folder: Path, work: Path) -> dict:
-    """Four frames at full size."""
+    """Render four frames at full size; return the row."""
     made = stylerf("render", str(work), "--of", "fit-memory", "--path", "train", "--frames", "0-3", "--memory", "2G")
     return taken(work, "frames", made["name"])
 

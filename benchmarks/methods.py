@@ -2,10 +2,10 @@
 
 Protocol: `stylerf farm benchmarks/tables/methods.yaml` runs one table. Every method has a fixed number of steps;
 fields, seeds and views are shared. Values are means over test views, then over seeds; rank: mean over scenes and
-paintings, 1 is best; relative: a value divided by the mean over methods. Style is judged by a network that no method
-matches. A farm that was interrupted continues where it was, so no job runs twice. `job_hours` sums the seconds of all
-artifacts. `least_seconds` of a scene and a method: of the stage, on one thread beside another job, the least over
-paintings and seeds, since the steps are the same; `deform` is what `desrf` needs before.
+paintings, 1 is best; relative: a value divided by the mean over methods. Style is evaluated with a network that no
+method optimizes. An interrupted farm resumes where it stopped, so no job runs twice. `job_hours` sums the seconds of
+all artifacts. `least_seconds` of a scene and a method: time of the stage, on one thread next to another job, minimum
+over paintings and seeds, since the steps are the same; `deform` is the stage that `desrf` requires first.
 """
 
 import json
@@ -22,7 +22,7 @@ FROM_TABLE = ("cells", "standings", "fronts", "missing")
 
 
 def condensed(folder: Path) -> dict:
-    """What is kept of a table's folder: its figures, and the hours that its artifacts took in all."""
+    """Return a summary of a table's folder: its figures, and the total hours that its artifacts took."""
     content = json.loads((folder / "report" / "table.json").read_text())
     paths = folder.glob("*/*/*/manifest.json")
     took = {path.parent: float(json.loads(path.read_text())["seconds"]) for path in paths}

@@ -1,13 +1,13 @@
-"""Recoloring a part by LAENeRF and by PaletteNeRF: `python -m benchmarks.palettes FITTED OUT.json [CASES]`.
+"""Recolor a region with LAENeRF and with PaletteNeRF: `python -m benchmarks.palettes FITTED OUT.json [CASES]`.
 
-FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.edits; each is copied.
+FITTED holds a work folder per scene, fitted for 60 s, as for benchmarks.edits; each is copied.
 
 Protocol: a region is selected and recolored by `stylerf edit` (LAENeRF). `stylerf stylize --method palettenerf` with
-60 s decomposes the same field once, then the same color is given to its whole palette, everywhere and within a reach
+60 s decomposes the same field once, then its whole palette is set to the same color, everywhere and within a reach
 around the region's first pixel. All three are evaluated by `stylerf eval --region` on the held-out views: background
-MSE against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. The
-sparsity L_sp is LAENeRF's over the region's pixels, PaletteNeRF's over all pixels that show the scene. Seconds are
-those of the stages' manifests, selection left out. One seed.
+MSE against the photos, divided by that of the original field (ratio), change inside the region, bleeding next to it.
+The sparsity L_sp is over the region's pixels for LAENeRF, and over all pixels that show the scene for PaletteNeRF.
+Seconds are from the stages' manifests, excluding selection. One seed.
 """
 
 import json
@@ -20,7 +20,7 @@ from pathlib import Path
 from benchmarks.conditions import here_and_now
 from benchmarks.edits import HEAD, SHOVEL, stylerf
 
-# name: (work folder, flags of the selection, palette, reach in scene units)
+# name: (work folder, selection flags, palette, reach in scene units)
 CASES = {
     "lego shovel": ("lego-400x400", SHOVEL, "all=#2050d0", "0.38"),
     "fox head": ("fox-270x480", HEAD, "all=#2050d0", "0.3"),
@@ -29,18 +29,18 @@ WANTED = ("background_mse", "background_ratio", "change_inside", "change_lab", "
 
 
 def seconds_of(work: Path, *artifacts: str) -> float:
-    """Of the stages that made them, kind/name."""
+    """Return the total seconds of the stages that made these artifacts (kind/name)."""
     return sum(json.loads((work / one / "manifest.json").read_text())["seconds"] for one in artifacts)
 
 
 def row(case: str, method: str, seconds: float, figures: dict, more: dict) -> dict:
-    """Of one recolored field."""
+    """Return the row of one recolored field."""
     found = {key: round(figures[key], 6) for key in WANTED if key in figures}
     return {"case": case, "method": method, "seconds": round(seconds, 1), **found, **more}
 
 
 def measure(fitted: Path, case: str, kept: Path) -> list[dict]:
-    """A row a method."""
+    """Return one row per method."""
     folder, selection, palette, reach = CASES[case]
     work, region = kept / folder, case.replace(" ", "-")
     if not (work / "scene").exists():

@@ -1,13 +1,13 @@
 """Accuracy against time, memory and parameters: `python -m benchmarks.pareto DATA STYLES OUT.json [OPTIONS]`.
 
-DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK the work folders are kept there, and finished
-runs are not repeated. Options, each a list with commas: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
+DATA holds the scenes, STYLES the paintings. With $STYLERF_BENCH_WORK, the work folders are kept there and finished runs
+are not repeated. Options, each a comma-separated list: --scenes fern,fox,lego --capacities grow,fixed:128x8x16
 --budgets 60s,300s --stylized grow --methods arf,desrf --rays auto,dilated --style-budgets 60s; --painting FILE; and
---flags METHOD=FLAGS for what else a method needs. A run that fails is kept as a row that says why.
+--flags METHOD=FLAGS for further flags of a method. A failed run is kept as a row with the reason.
 
-Protocol: every scene is fitted at each capacity and budget; the fit of each capacity (or of --stylized) that had the
-longest budget is stylized by each method with each choice of rays (arf and desrf) and each style budget; all are
-evaluated on the held-out views, the stylized ones also along a path of 30 frames, in all three consistency protocols.
+Protocol: every scene is fitted at each capacity and budget; for each capacity (or those of --stylized), the fit with
+the longest budget is stylized by each method with each choice of rays (arf and desrf) and each style budget; all are
+evaluated on the held-out views, stylized ones also along a path of 30 frames with all three consistency protocols.
 `stylerf compare` then reads the work folders: costs from the manifests, for stylizations the seconds since the fitted
 field. One seed, one run at a time.
 """
@@ -27,16 +27,16 @@ from benchmarks.fits import SCENES as SIZES
 
 SCENES = {name.split()[0]: flags for name, flags in SIZES.items() if name != "lego 400x400"}
 PATHS = {"fern": "spiral", "fox": "spiral", "lego": "orbit", "cup": "spiral"}
-BY_RAYS = ("arf", "desrf")  # the fields of the other methods learn whole pictures
+BY_RAYS = ("arf", "desrf")  # other methods train fields on whole images
 KEPT = ("family", "group", "work", "name", "method", "settings", "stages", "costs", "fronts")
 
 
 class Failed(Exception):
-    """A command ended with an error; its one line of words."""
+    """A command failed; holds its one-line message."""
 
 
 def stylerf(*arguments: str) -> dict:
-    """One command, its --json object; Failed with the words of its fault."""
+    """Run one command; return its --json object, or raise Failed with its error message."""
     command = [sys.executable, "-m", "stylerf_cli.main", *arguments, "--json"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     try:
@@ -68,12 +68,12 @@ def options_of(argv: list[str]) -> argparse.Namespace:
 
 
 def label(*parts: str) -> str:
-    """A name that an artifact can have."""
+    """Return a valid artifact name."""
     return "-".join(parts).replace(":", "").replace(",", "-")
 
 
 def measure(requested: argparse.Namespace, scene: str, work: str) -> list[dict]:
-    """Makes all runs of a scene in `work`; returns what failed."""
+    """Run everything for a scene in `work`; return the failures."""
     folder, flags = SCENES[scene]
     failed = []
 
@@ -106,7 +106,7 @@ def measure(requested: argparse.Namespace, scene: str, work: str) -> list[dict]:
 
 
 def rows_of(works: list[str], out: str) -> list[dict]:
-    """One row a run, from the work folders."""
+    """Return one row per run, from the work folders."""
     result = stylerf("compare", *works, "--out", out)
     means = [{key: round(one["mean"], 6) for key, one in run["metrics"].items()} for run in result["runs"]]
     return [{key: run[key] for key in KEPT} | {"figures": found} for run, found in zip(result["runs"], means)]

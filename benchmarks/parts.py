@@ -1,13 +1,13 @@
-"""Stylizing a part by LAENeRF and by Ref-NPR: `python -m benchmarks.parts FITTED OUT.json STYLE [CASES]`.
+"""Stylize a region with LAENeRF and with Ref-NPR: `python -m benchmarks.parts FITTED OUT.json STYLE [CASES]`.
 
-FITTED holds a work folder for each scene, fitted for 60 s, as for benchmarks.edits; each is copied. STYLE: a painting.
+FITTED holds a work folder per scene, fitted for 60 s, as for benchmarks.edits; each is copied. STYLE: a painting.
 
 Protocol: a region is selected and stylized by `stylerf edit --style` (LAENeRF). `stylerf stylize --region --method
-refnpr` with 40 s paints a view of the region and stylizes the region after it. The picture that it painted (the photo
-beside the region) is given to `stylerf stylize --method refnpr` with 40 s, whose whole field learns, as Ref-NPR's does
-in LAENeRF's comparison. All three are evaluated by `stylerf eval --region` on the held-out views: background MSE
-against the photos, over that of the field before (ratio), change inside the region, bleeding beside it. Seconds are
-those of the stages' manifests, selection left out. One seed.
+refnpr` with 40 s paints a view of the region and stylizes the region from it. The painted image (the photo outside the
+region) is then passed to `stylerf stylize --method refnpr` with 40 s, which trains the whole field, as for Ref-NPR in
+LAENeRF's comparison. All three are evaluated by `stylerf eval --region` on the held-out views: background MSE against
+the photos, divided by that of the original field (ratio), change inside the region, bleeding next to it. Seconds are
+from the stages' manifests, excluding selection. One seed.
 """
 
 import json
@@ -26,7 +26,7 @@ BUDGET = "40s"
 
 
 def measure(fitted: Path, style: Path, case: str, kept: Path) -> list[dict]:
-    """A row a method."""
+    """Return one row per method."""
     folder, selection = CASES[case]
     work, region = kept / folder, case.replace(" ", "-")
     if not (work / "scene").exists():

@@ -1,14 +1,15 @@
-"""Where a fit's step spends its time, and how near kernels are to bounds: `python -m benchmarks.profile WORK OUT`.
+"""Profile a fit's step and compare kernels with their memory bounds: `python -m benchmarks.profile WORK OUT`.
 
 WORK holds an imported scene.
 
-Protocol: for each capacity a fit of that one capacity takes LEARNING steps, so that its occupancy is a real fit's;
-the next STEPS steps are timed kernel by kernel, on one thread and on all. A kernel's bound is the time that this
-machine needs, in a kernel of its own and on as many threads, for the memory that the kernel cannot avoid: `march` and
-`color` read 18 rows a sample from the table, at the very places of the last batch, each sample's asked for while the
-one before is read; the backward passes read them and add to 18 rows of a buffer as large; `adam` reads all gradients,
-and reads and writes five arrays where they are not zero, at the bandwidth of a triad over arrays as long as the
-table. Arithmetic is not part of a bound. Least of REPEATS. `psnr`: of training rays after LEARNING steps.
+Protocol: for each capacity, a fit at that single capacity takes LEARNING steps, so that its occupancy is realistic; the
+next STEPS steps are timed per kernel, on one thread and on all. A kernel's bound is the time that this machine needs,
+in a separate kernel and on the same number of threads, for the memory accesses that the kernel cannot avoid: `march`
+and `color` read 18 rows per sample from the table, at the same positions as the last batch, prefetching each sample's
+rows while the previous one is read; the backward passes read them and add to 18 rows of a buffer of the same size;
+`adam` reads all gradients, and reads and writes five arrays where they are nonzero, at the bandwidth of a triad over
+arrays as long as the table. Arithmetic is not part of a bound. Minimum of REPEATS. `psnr`: of training rays after
+LEARNING steps.
 """
 
 import dataclasses
@@ -30,7 +31,7 @@ from stylerf.kernels.cpu.vm import place, places
 
 CAPACITIES = ("64x16x24", "128x16x24", "192x16x24", "256x16x24")
 LEARNING, STEPS, REPEATS = 150, 30, 25
-# Kernels by the name they have here: where the fit calls them.
+# Kernels by their name here: where the fit calls them.
 KERNELS = {
     "draw rays": ("stylerf.training.common.ray_dataset", "gather"),
     "march": ("stylerf.kernels.cpu.vm", "march_density"),
@@ -48,7 +49,7 @@ KERNELS = {
 
 @parallel_kernel
 def read_rows(table, size, ranks, x, threads, sums):
-    """Adds the 18 rows of every point x [n, 3] to sums [threads, rank]."""
+    """Add the 18 rows of every point x [n, 3] to sums [threads, rank]."""
     n = len(x)
     rank = np.int64(len(ranks))
     flat = sums.reshape(-1)
@@ -65,7 +66,7 @@ def read_rows(table, size, ranks, x, threads, sums):
 
 @parallel_kernel
 def add_rows(table, size, ranks, x, threads, row, to):
-    """Adds `row` to the 18 rows of every point x [n, 3] in the thread's buffer to[thread], laid out as the table."""
+    """Add `row` to the 18 rows of every point x [n, 3] in the thread's buffer to[thread], laid out as the table."""
     n = len(x)
     rank = np.int64(len(ranks))
     flat = to.reshape(-1)
@@ -83,7 +84,7 @@ def add_rows(table, size, ranks, x, threads, row, to):
 
 @parallel_kernel
 def triad(a, b, ranks, threads):
-    """a += 2 b, a row of len(ranks) at a time; a loop of numba's own is no faster than its index checks."""
+    """a += 2 b, a row of len(ranks) at a time; a plain numba loop is limited by its index checks."""
     rows = len(a) // len(ranks)
     for thread in prange(threads):
         for row in range(thread * rows // threads, (thread + 1) * rows // threads):
@@ -92,7 +93,7 @@ def triad(a, b, ranks, threads):
 
 
 def least(work) -> float:
-    """Seconds, the least of REPEATS."""
+    """Return the minimum seconds of REPEATS runs."""
     work()
     found = []
     for _ in range(REPEATS):
@@ -103,19 +104,19 @@ def least(work) -> float:
 
 
 def triad_bandwidth(length: int, threads: int) -> float:
-    """Bytes a second of a triad over float32 arrays of so many elements."""
-    a, b = (np.ones(length, np.float32) for _ in range(2))  # zeros would all be one page of memory
+    """Return bytes per second of a triad over float32 arrays of `length` elements."""
+    a, b = (np.ones(length, np.float32) for _ in range(2))  # zeros would all map to one page of memory
     return 3 * a.nbytes / least(lambda: triad(a, b, (np.int8(0),) * 16, threads))
 
 
 class Watch:
-    """Kernels timed while a fit runs: seconds by name, and each one's last arguments."""
+    """Times kernels while a fit runs: seconds by name, and each one's last arguments."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
         self.last: dict[str, tuple] = {}
         self.moved = 0.0  # bytes, by adam
-        self.looking = 0.0  # seconds of this class's own
+        self.looking = 0.0  # this class's own seconds
 
     def __enter__(self) -> "Watch":
         self._kept = []
@@ -144,7 +145,7 @@ class Watch:
 
 
 def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
-    """A fit of one capacity that does not grow, as `stylerf fit` sets it up."""
+    """Return a fit at a single capacity, without growth, set up as in `stylerf fit`."""
     from schemas.work_folder import WorkFolder
     from stages.artifacts.photos import bank_of
     from stages.artifacts.scene import load_scene, space_of
@@ -166,7 +167,7 @@ def fitter_of(work: Path, capacity: str, threads: int, scratch: Path):
 
 
 def bounds(watch: Watch, threads: int) -> tuple[dict[str, float], dict[str, int]]:
-    """Seconds of one step's unavoidable reads and additions by kernel, for the last batch, and what it held."""
+    """Return, by kernel, the seconds of the last batch's unavoidable reads and additions, and what the batch held."""
     density, ranks, samples, sigma_gradients, _ = watch.last["density backward"]
     parameters, color_ranks, _, _, colors, _, _ = watch.last["color backward"]
     every = np.concatenate([np.arange(a, b) for a, b in zip(samples.starts, samples.ends)])
@@ -195,14 +196,14 @@ def _rows(table, size, ranks, x, threads: int) -> tuple[float, float]:
 
 
 def moved_by_adam(gradients: np.ndarray, begin: int, end: int) -> float:
-    """Bytes: every gradient is read; where a run of eight has any, it is cleared, and values and moments rewritten."""
+    """Return bytes: every gradient is read; runs of eight with any are cleared, their values and moments rewritten."""
     length = (end - begin) // 8 * 8
     runs = np.abs(gradients[:, begin : begin + length]).max(0).reshape(-1, 8).max(1) > 0
     return 4.0 * (end - begin) * (gradients.shape[0] * (1 + runs.mean()) + 6 * runs.mean())
 
 
 def measure(work: Path, capacity: str, threads: int, scratch: Path) -> dict:
-    """A row: milliseconds a step by kernel, its bound, and what the batch held."""
+    """Return a row: milliseconds per step by kernel, its bound, and what the batch held."""
     set_threads(threads)
     fitter = fitter_of(work, capacity, threads, scratch)
     fitter.warm_up()
@@ -233,7 +234,7 @@ def measure(work: Path, capacity: str, threads: int, scratch: Path) -> dict:
 
 
 def report_of(work: Path, threads: list[int], scratch: Path) -> dict:
-    """Every capacity on every number of threads."""
+    """Return the report: every capacity with every number of threads."""
     rows = []
     for count in threads:
         for capacity in CAPACITIES:

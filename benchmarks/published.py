@@ -1,4 +1,4 @@
-"""Published figures, and the figure of benchmarks/results that corresponds to each."""
+"""Published figures, and the figure in benchmarks/results that corresponds to each."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,9 @@ SUPPLEMENT = "LAENeRF, supplement"
 class Published:
     """One published figure.
 
-    better: `lower` or `higher`. ours: (result file, {key: value} that selects its row, key of that row, with dots into
-    objects); None if nothing comparable was measured. unlike: what differs between the two; empty if nothing does.
-    judged: whether better or worse means anything.
+    better: `lower` or `higher`. ours: (result file, {key: value} that selects its row, key in that row, with dots for
+    nested objects); None if nothing comparable was measured. unlike: what differs between the two; empty if nothing.
+    judged: whether better or worse is meaningful.
     """
 
     method: str

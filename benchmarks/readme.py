@@ -1,6 +1,6 @@
 """Write the result tables and charts of README.md and docs/ from benchmarks/results.
 
-Usage: `python -m benchmarks.readme [--check]`; with --check nothing is written and stale files give exit code 1.
+Usage: `python -m benchmarks.readme [--check]`; with --check, nothing is written and stale files give exit code 1.
 """
 
 import json
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
 REMEDIED = " + remedies"
-WITHIN_DB, WITHIN = 0.5, 0.03  # scores of fits, and of everything else: the tolerance of a stress baseline
+WITHIN_DB, WITHIN = 0.5, 0.03  # for scores of fits, and of everything else: the tolerance of a stress baseline
 
 
 def result(name: str) -> dict:
@@ -33,7 +33,7 @@ def where(report: dict) -> str:
 
 
 def summary() -> str:
-    """Markdown of the fits, one row per scene: the table of README."""
+    """Markdown of the fits, one row per scene: the table in README."""
     report = result("fit.json")
     lines = [
         "| scene | PSNR, 60 s | PSNR, 300 s | SSIM, 300 s | parameters | peak memory |",
@@ -69,7 +69,7 @@ def fits() -> str:
 
 
 def on_gpu() -> str:
-    """Markdown of what was measured on a GPU: fits, a stylization, rendering."""
+    """Markdown of measurements on a GPU: fits, a stylization, rendering."""
     report = result("gpu.json")
     lines = [
         "| run | training | whole stage | steps | held-out PSNR | SSIM | GPU memory |",
@@ -93,7 +93,7 @@ def on_gpu() -> str:
 
 
 def splats() -> str:
-    """Markdown of exported splats beside their fields."""
+    """Markdown of exported splats compared with their fields."""
     report = result("splats.json")
     lines = [
         "| field | splats | steps | splats to field | splats to photos | field to photos |",
@@ -110,7 +110,7 @@ def splats() -> str:
 
 
 def tensorf() -> str:
-    """Markdown of the training time to reach a quality, ours and TensoRF's; empty if not measured."""
+    """Markdown of the training time to reach a quality, for ours and TensoRF; empty if not measured."""
     if not (RESULTS / "tensorf.json").is_file():
         return ""
     report = result("tensorf.json")
@@ -132,7 +132,7 @@ def tensorf() -> str:
 
 
 def _time_beside(row: dict, own: dict, key: str) -> str:
-    """Seconds and the ratio to ours; a lower bound if the run ended first."""
+    """Seconds and the ratio to ours; a lower bound if the run ended before."""
     seconds, reached = row[key], row[key] is not None
     seconds = seconds if reached else row["last_seconds"]
     ratio = f" ({seconds / own[key]:.0f}x)" if row is not own and own[key] else ""
@@ -228,7 +228,7 @@ def _region_cells(row: dict) -> str:
 
 
 def pareto() -> str:
-    """The chart over methods, rays and capacities, and failed runs; empty if not measured."""
+    """The chart of methods, rays and capacities, and failed runs; empty if not measured."""
     if not (RESULTS / "pareto.json").is_file():
         return ""
     report = result("pareto.json")
@@ -335,7 +335,7 @@ def _beside_bound(row: dict, name: str) -> str:
 
 
 def looks() -> str:
-    """Markdown of what features and their gradient cost on the CPU, by layers and size; empty if not measured."""
+    """Markdown of the cost of features and their gradient on the CPU, by layers and size; empty if not measured."""
     if not (RESULTS / "extractor.json").is_file():
         return ""
     report = result("extractor.json")
@@ -364,7 +364,7 @@ METHOD_COLUMNS = {
 
 
 def method_ranks() -> str:
-    """Markdown of the methods by their mean ranks, with values relative to the mean over methods; empty if not run."""
+    """Markdown of the methods' mean ranks, with values relative to the mean over methods; empty if not run."""
     if not (RESULTS / "methods.json").is_file():
         return ""
     report = result("methods.json")
@@ -385,7 +385,7 @@ def method_ranks() -> str:
 
 
 def method_seconds() -> str:
-    """Markdown of the least seconds of every method and scene; empty if not run."""
+    """Markdown of the minimum seconds for every method and scene; empty if not run."""
     if not (RESULTS / "methods.json").is_file():
         return ""
     rows = result("methods.json")["least_seconds"]
@@ -414,7 +414,7 @@ def method_cells() -> str:
 
 
 def votes() -> str:
-    """Markdown of blind votes, and of the figures that agree with them; empty if there are none."""
+    """Markdown of blind votes, and of how often figures agree with them; empty if there are none."""
     if not (RESULTS / "votes.json").is_file():
         return ""
     report = result("votes.json")
@@ -437,7 +437,7 @@ def _mean_and_spread(value: dict | None) -> str:
 
 
 def stress() -> str:
-    """The heat map of methods under faults, and total success rates; empty if not measured."""
+    """The heat map of methods under faults, and overall success rates; empty if not measured."""
     if not (RESULTS / "stress.json").is_file():
         return ""
     report = result("stress.json")
@@ -453,7 +453,7 @@ def stress() -> str:
 
 
 def successes(rows: list[dict]) -> str:
-    """Success rates as text: cells run without and with remedies, then the other cells.
+    """Format success rates: cells run without and with remedies, then the other cells.
 
     The number of seeds may differ between the two, so the percentages are means over cells.
     """
@@ -473,7 +473,7 @@ def successes(rows: list[dict]) -> str:
 
 
 def _by_remedies(rows: list[dict]) -> tuple[list[tuple[dict, dict]], list[dict]]:
-    """Pairs of cells (work, fault, method) without and with remedies, and the unpaired cells."""
+    """Return pairs of cells (work, fault, method) without and with remedies, and unpaired cells."""
     cells = {(row["work"], row["fault"], row["method"]): row for row in rows}
     pairs = {(work, fault, method): (work, fault, method + REMEDIED) for work, fault, method in cells}
     pairs = {before: after for before, after in pairs.items() if after in cells}
@@ -486,7 +486,7 @@ def _done(rows: list[dict]) -> str:
 
 
 def budget_text(budget: str) -> str:
-    """A budget as text: a plain number counts steps."""
+    """Format a budget; a plain number counts steps."""
     return f"{budget} steps" if budget.isdigit() else budget
 
 
@@ -556,7 +556,7 @@ BLOCKS = {
     },
     "docs/performance.md": {"profile": profile, "looks": looks},
 }
-# By picture name, which starts with the name of its result file.
+# By image name, which starts with the name of its result file.
 CHARTS = {
     "fit": charts.fits_chart,
     "strategies": charts.strategies_chart,
@@ -596,7 +596,7 @@ def main() -> int:
 
 
 def mark(report: dict) -> str:
-    """The last line of a chart: a digest of its rows, so that a stale chart is found without drawing it."""
+    """Return the last line of a chart: a digest of its rows, to detect stale charts without drawing them."""
     return f"<!-- rows {digest_of(report['rows'])} -->\n"
 
 

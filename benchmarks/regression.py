@@ -1,11 +1,11 @@
-"""Whether fitting has become slower or worse: `python -m benchmarks.regression WORK [AGAINST.json]`.
+"""Check whether fitting has become slower or worse: `python -m benchmarks.regression WORK [AGAINST.json]`.
 
 AGAINST: a report of benchmarks.profile on the same scene (default: benchmarks/results/profile.json).
 
-Protocol: what benchmarks.profile measures is measured again, here and now. Machines differ, and so do two hours of one:
-compared are ratios alone, of each kernel to its bound on the same machine in the same run, of what has no bound to the
-step that it is part of, and of all threads to one; and the dB that the same steps reach. Exit code 1 where a ratio is
-more than SLOWER times that of before, or a fit is more than WORSE dB worse.
+Protocol: benchmarks.profile is run again. Since speed differs between machines and over time, only ratios are compared:
+each kernel to its bound on the same machine in the same run, everything without a bound to its step, and all threads to
+one; as well as the dB reached by the same steps. Exit code 1 if a ratio exceeds SLOWER times the earlier one, or a fit
+is more than WORSE dB worse.
 """
 
 import json
@@ -17,11 +17,11 @@ from pathlib import Path
 from benchmarks.profile import report_of
 
 SLOWER, WORSE = 1.6, 0.15
-LEAST_SHARE = 0.02  # of a step: what takes less is not compared, it is all noise
+LEAST_SHARE = 0.02  # of a step: anything that takes less is noise and not compared
 
 
 def ratios(rows: list[dict]) -> dict[str, float]:
-    """By what they are of; larger is slower."""
+    """Return ratios by name; larger is slower."""
     found = {}
     whole = {(row["capacity"], row["threads"]): row["step_ms"] for row in rows}
     for row in rows:
@@ -38,7 +38,7 @@ def ratios(rows: list[dict]) -> dict[str, float]:
 
 
 def worse(before: list[dict], now: list[dict]) -> list[str]:
-    """Describe what has become slower or worse; what only one of the two has is not compared."""
+    """Describe what has become slower or worse; entries in only one of the two are not compared."""
     old, new, found = ratios(before), ratios(now), []
     for name in old.keys() & new.keys():
         if new[name] > SLOWER * old[name]:
@@ -46,7 +46,7 @@ def worse(before: list[dict], now: list[dict]) -> list[str]:
     reached = {(row["capacity"], row["threads"]): row["psnr"] for row in before}
     for row in now:
         was = reached.get((row["capacity"], row["threads"]))
-        if was is not None and not row["psnr"] >= was - WORSE:  # so written, NaN is worse too
+        if was is not None and not row["psnr"] >= was - WORSE:  # in this form, NaN also counts as worse
             found.append(f"{row['capacity']}, {row['threads']} threads: {row['psnr']:.2f} dB, it was {was:.2f}")
     return sorted(found)
 

@@ -16,7 +16,7 @@ and few on the same images. The last column lists the differences; *better* and 
 
 
 def ours(published: Published, results: Path = RESULTS) -> float | None:
-    """Our figure that corresponds to a published one; None if not measured."""
+    """Return our figure that corresponds to a published one; None if not measured."""
     if published.ours is None or not (results / published.ours[0]).is_file():
         return None
     file, where, key = published.ours
@@ -31,7 +31,7 @@ def ours(published: Published, results: Path = RESULTS) -> float | None:
 
 
 def verdict(published: Published, value: float | None) -> str:
-    """`better`, `worse` or `equal`; a dash if there is nothing to compare or a comparison is meaningless."""
+    """Return `better`, `worse` or `equal`; a dash if there is nothing to compare or a comparison is meaningless."""
     if value is None or math.isnan(published.value) or not published.judged:
         return "-"
     if value == published.value:
@@ -40,14 +40,14 @@ def verdict(published: Published, value: float | None) -> str:
 
 
 def number(value: float | None, unit: str) -> str:
-    """A value with at most four significant digits."""
+    """Format a value with at most four significant digits."""
     if value is None or math.isnan(value):
         return "-"
     return f"{value:.4g}" + (f" {unit}" if unit else "")
 
 
 def page(results: Path = RESULTS) -> str:
-    """Markdown of all published figures: first those with a figure of ours, then the others."""
+    """Return Markdown of all published figures: first those with a figure of ours, then the others."""
     rows = [(one, ours(one, results)) for one in PUBLISHED]
     measured = [(one, value) for one, value in rows if value is not None]
     verdicts = [verdict(one, value) for one, value in measured]

@@ -1,7 +1,7 @@
-"""`python -m benchmarks.same_bits DATA OUT.json`: digests of what a tree computes, to hold one tree against another.
+"""Digests of what a source tree computes, to compare two trees: `python -m benchmarks.same_bits DATA OUT.json`.
 
-Fits, stylizations by every method and a local edit, all by numbers of steps, on two threads of the CPU. Each line of
-the result is the sorted SHA-256 of the arrays of one artifact, whatever they are called, and the seconds it took. Two
+Fits, stylizations by every method and a local edit, all with budgets in steps, on two CPU threads. Each line of the
+result has the sorted SHA-256 digests of one artifact's arrays, regardless of their names, and the seconds it took. Two
 trees compute the same bits where their files agree:
 
     python -m benchmarks.same_bits DATA before.json      # in one tree
@@ -49,7 +49,7 @@ def main() -> int:
 
 
 def edit_commands(work: Path, view: str) -> list[tuple[str, str, tuple]]:
-    """Kind, name and command of each artifact of a local edit, by numbers of steps: `edit` itself takes a time."""
+    """Return kind, name and command of each artifact of a local edit, with budgets in steps: `edit` takes seconds."""
     steps = ("--palette-steps", "40", "--pruned-steps", "10", "--budget", "10m")
     look = ("--region", "part", "--recolor", "--palette", "0=#c03020", *steps, "--name", "look")
     return [
@@ -61,13 +61,13 @@ def edit_commands(work: Path, view: str) -> list[tuple[str, str, tuple]]:
 
 
 def run(*arguments) -> None:
-    """One command of this tree."""
+    """Run one command of this tree."""
     command = [sys.executable, "-m", "stylerf_cli.main", *map(str, arguments), *COMMON]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def timed(work: Path, kind: str, name: str, *command) -> dict:
-    """Runs a command: sorted digests of the arrays of the artifact that it makes, and its seconds."""
+    """Run a command; return the sorted digests of its artifact's arrays, and its seconds."""
     begun = time.monotonic()
     run(*command)
     seconds = round(time.monotonic() - begun, 1)
@@ -77,13 +77,13 @@ def timed(work: Path, kind: str, name: str, *command) -> dict:
 
 
 def first_view(work: Path) -> str:
-    """Name of a training view of a scene."""
+    """Return the name of a training view of a scene."""
     views = json.loads((work / "scene" / "main" / "scene.json").read_text())["views"]
     return next(one["name"] for one in views if one["split"] == "train")
 
 
 def compare(before: dict, after: dict) -> int:
-    """Prints each artifact with whether its bits agree and the ratio of seconds; 1 where any differs."""
+    """Print for each artifact whether its bits agree, and the ratio of seconds; return 1 if any differs."""
     for name in sorted(before.keys() | after.keys()):
         one, other = before.get(name), after.get(name)
         same = one is not None and other is not None and one["arrays"] == other["arrays"]

@@ -1,8 +1,8 @@
-"""Splats against the fields they are made of: `python -m benchmarks.splats WORK OUT.json [BUDGET [SPLATS [FIELD...]]]`.
+"""Compare splats with their fields: `python -m benchmarks.splats WORK OUT.json [BUDGET [SPLATS [FIELD...]]]`.
 
 Protocol: every field of the work folder (or those named) is exported with BUDGET (seconds, or steps) and SPLATS; PSNR
-at held-out views, of the splats against the field and of both against the photos, as `stylerf export` says. The
-load before each export is recorded: the budget of time is wall time.
+at held-out views, of the splats against the field and of both against the photos, as reported by `stylerf export`. The
+system load before each export is recorded, since time budgets are wall time.
 """
 
 import json
@@ -21,7 +21,7 @@ FIGURES = (
 
 
 def measure(work: Path, field: str, budget: str, splats: int) -> dict:
-    """A row."""
+    """Return a row."""
     load = round(os.getloadavg()[0], 2)
     options = ("--as", "splats", "--splats", str(splats), "--budget", budget, "--name", f"{field}-splats-benchmark")
     exported = stylerf("export", str(work), "--of", field, *options)["figures"]

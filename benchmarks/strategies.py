@@ -1,14 +1,14 @@
 """Ray strategies compared on one scene: `python -m benchmarks.strategies WORK STYLE OUT.json [STEPS [METHOD]]`.
 
-Protocol: the field of WORK is stylized by each strategy in a process of its own, one after another, from the same
+Protocol: the field in WORK is stylized with each strategy in a separate process, one after another, with the same
 seed, refit and settings (METHOD arf or desrf, dilation 2, no blur; dilated also with the paper's 3x3 blur, and without
-the memory of the last render).
-`full` runs STEPS steps, which take it T seconds; every other runs until it has done STEPS steps and used T seconds.
-Style distance (exact nearest neighbors, conv3) and content distance are means over the held-out views and over LOOKS
-looks two steps apart, the first at equal steps or at equal time: at a steady rate they swing by a tenth between steps.
-Field seconds: painting the picture and learning from its gradient; the rest of a step is the feature extractor, the
-matching and the optimizers. Field memory: what is resident at the end of painting and of learning, at most, above what
-was before the step; the feature extractor is left out; in a process of its own that gives freed memory back at once.
+reusing the last render).
+`full` runs STEPS steps, which take T seconds; all others run until they have done STEPS steps and used T seconds. Style
+distance (exact nearest neighbors, conv3) and content distance are means over the held-out views and over LOOKS
+evaluations two steps apart, the first at equal steps or at equal time, since they fluctuate by a tenth between steps.
+Field seconds: rendering the image and backpropagating its gradient; the rest of a step is the feature extractor, the
+matching and the optimizers. Field memory: maximum resident memory at the end of rendering and of backpropagation, minus
+that before the step; without the feature extractor, and in a separate process that immediately returns freed memory.
 """
 
 import json
@@ -23,8 +23,8 @@ from pathlib import Path
 from benchmarks.conditions import here_and_now
 
 LOOKS = 5
-# Of glibc: every array of 64 KiB is given back to the system when it is freed. Otherwise what was freed before stays
-# resident by chance, and the same step was read as 142 MB and as 221.
+# For glibc: arrays of 64 KiB and more are returned to the system when freed. Otherwise, freed memory may stay resident
+# by chance: the same step was measured as 142 MB and as 221 MB.
 GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536"}
 CASES = {
     "full": {"strategy": "full"},
@@ -38,17 +38,17 @@ CASES = {
 
 
 def peak_mb() -> float:
-    """Most resident memory so far, MB."""
+    """Return the peak resident memory so far, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def resident_mb() -> float:
-    """Resident memory now, MB (Linux)."""
+    """Return the current resident memory, MB (Linux)."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
 def stylizer_for(work: str, style: str, method: str, case: str):
-    """The stylizer of a case, the scene, and its held-out views with their photos."""
+    """Return the trainer of a case, its held-out views with their photos, and the background level."""
     import numpy as np
 
     from schemas.work_folder import WorkFolder
@@ -93,7 +93,7 @@ def stylizer_for(work: str, style: str, method: str, case: str):
 
 
 def distances(made, held_out, level) -> dict[str, float]:
-    """Mean style and content distance of the held-out views."""
+    """Return the mean style and content distance of the held-out views."""
     import numpy as np
     import torch
 
@@ -119,7 +119,7 @@ def distances(made, held_out, level) -> dict[str, float]:
 
 @dataclass
 class Mark:
-    """LOOKS looks at the held-out views, two steps apart; step and seconds are those of the first."""
+    """LOOKS evaluations of the held-out views, two steps apart; step and seconds are those of the first."""
 
     looks: list[dict[str, float]] = field(default_factory=list)
     step: int = 0
@@ -138,7 +138,7 @@ class Mark:
 
 
 def watched(made) -> dict:
-    """What painting and learning cost from now on: seconds, and the peak of what is resident, MB."""
+    """Track the cost of rendering and backpropagation from now on: seconds, and peak resident memory, MB."""
     spent = {"seconds": 0.0, "peak": 0.0, "inside": 0}
 
     def timed(function):
@@ -147,7 +147,7 @@ def watched(made) -> dict:
             spent["inside"] += 1
             result = function(*arguments)
             spent["inside"] -= 1
-            if not spent["inside"]:  # painting a picture calls for painting its parts
+            if not spent["inside"]:  # rendering an image calls rendering of its parts
                 spent["seconds"] += time.perf_counter() - begun
             spent["peak"] = max(spent["peak"], resident_mb())
             return result
@@ -156,21 +156,21 @@ def watched(made) -> dict:
 
     step, geometry = made.method.view_step, made.scene.geometry
     step.image, geometry.learn = timed(step.image), timed(geometry.learn)
-    geometry.paint = timed(geometry.paint)  # deferred marches its rays again
+    geometry.paint = timed(geometry.paint)  # `deferred` marches its rays again
     return spent
 
 
 def ready(work: str, style: str, method: str, case: str) -> tuple:
-    """(stylizer at its first step, held-out views, background, what it costs)."""
+    """Return (trainer at its first style step, held-out views, background level, tracked cost)."""
     made, held_out, level = stylizer_for(work, style, method, case)
     scene = made.scene
     while scene.budget.progress < 1:
         scene.refit_step()
         made.state.step += 1
     made.next_phase()
-    _ = made.method.loss.objective  # the style image's features are computed here, not within the first step
+    _ = made.method.loss.objective  # compute the style image's features here, not in the first step
     spent = watched(made)
-    for view in range(len(scene.cameras)):  # what later visits of a view need is made at the first: not part of a step
+    for view in range(len(scene.cameras)):  # caches that are filled on a view's first visit, not part of a step
         scene.geometry.alpha(view)
         if made.settings.strategy not in ("full", "deferred"):
             made.method.view_step.last_renders[view] = scene.render(view)
@@ -178,7 +178,7 @@ def ready(work: str, style: str, method: str, case: str) -> tuple:
 
 
 def field_memory(work: str, style: str, method: str, case: str) -> float:
-    """MB of the field alone: a step whose gradient comes from nowhere, before the feature extractor has run."""
+    """Return the field's memory, MB: of a step with a zero image gradient, before the feature extractor has run."""
     import numpy as np
 
     made, _, _, spent = ready(work, style, method, case)
@@ -192,10 +192,10 @@ def field_memory(work: str, style: str, method: str, case: str) -> float:
 
 
 def measure(work: str, style: str, method: str, case: str, steps: int, seconds: float) -> dict:
-    """One case, in this process. seconds 0: as long as `steps` steps take."""
+    """Run one case in this process; return its row. seconds 0: as long as `steps` steps take."""
     made, held_out, level, spent = ready(work, style, method, case)
     row: dict = {"case": case}
-    made.method.step()  # the first runs slower
+    made.method.step()  # the first one is slower
     made.state.step, spent["seconds"], used = 1, 0.0, 0.0
     marks = {"at_equal_steps": Mark()} | ({"at_equal_time": Mark()} if seconds else {})
     while any(len(mark.looks) < LOOKS for mark in marks.values()):

@@ -1,16 +1,16 @@
 """Methods under faults, without and with remedies: `python -m benchmarks.stress OUT.json WORK... [OPTIONS]`.
 
-Each WORK is a folder with a scene; runs are kept in WORK/stress, and finished runs are not repeated. What is not
-known here goes to `stylerf stress` as it is: --methods, --faults, --quick, --budget, --style-budget, --side, --seeds.
+Each WORK is a folder with a scene; runs are kept in WORK/stress, and finished runs are not repeated. Other options are
+passed on to `stylerf stress`: --methods, --faults, --quick, --budget, --style-budget, --side, --seeds.
 
-Protocol: `stylerf stress` in one work folder after another, remedies as the command says; faults of made scenes,
-which are the same for every WORK, in the first alone. Training views carry the fault, test views never do. A fit
-succeeds where it is finite and 3 dB nearer to the test photos than one flat color (of an object: than its outlines in
-one color); a stylization where it is finite, keeps a third of the photos' structure (of the local variance of luma
-what a straight line from the render's luma explains, of an object beyond its outlines) and is at most 0.7 times as far
-from the painting's colors; a local edit where it is finite, changes its part by 10 dE and what is around it by at most
-a fifth of that, and keeps an SSIM of luma of 0.2 with the field before. Figures: PSNR (dB) of fits, structure kept of
-stylizations, of edits the share of the change that stays inside, medians over the seeds.
+Protocol: `stylerf stress` in one work folder after another, with the remedies given in the command; faults of synthetic
+scenes, which are the same for every WORK, only in the first. Only training views have the fault, never test views. A
+fit succeeds if it is finite and 3 dB closer to the test photos than a flat color (for an object: than its silhouettes
+in one color); a stylization if it is finite, keeps a third of the photos' structure (the local variance of luma
+explained by a linear fit to the render's luma; for an object, beyond its silhouettes) and is at most 0.7 times as far
+from the painting's colors; a local edit if it is finite, changes its region by 10 dE and its surroundings by at most a
+fifth of that, and keeps a luma SSIM of 0.2 with the original field. Figures: PSNR (dB) of fits, structure kept of
+stylizations, and for edits the fraction of the change that stays inside; medians over seeds.
 """
 
 import argparse
@@ -26,7 +26,7 @@ KEPT = ("method", "fault", "successes", "count", "rate", "median", "spread", "lo
 
 
 def options_of(argv: list[str]) -> tuple[argparse.Namespace, list[str]]:
-    """What is known here, and the flags for `stylerf stress`: all from the first on that begins with two dashes."""
+    """Return the options known here and all other flags, for `stylerf stress`; flags start at the first `--`."""
     places = next((i for i, one in enumerate(argv) if one.startswith("--")), len(argv))
     parser = argparse.ArgumentParser(prog="benchmarks.stress", description=__doc__.split("\n\n")[0])
     parser.add_argument("out", type=Path)
@@ -39,7 +39,7 @@ def options_of(argv: list[str]) -> tuple[argparse.Namespace, list[str]]:
 
 
 def faults_of(requested: list[str], first: bool) -> list[str]:
-    """Names; those of made scenes in the first work folder alone."""
+    """Return the names of faults; those of synthetic scenes only for the first work folder."""
     from stages.configs.faults import FAULTS, MADE
 
     chosen = [name for name in FAULTS if name in requested or "all" in requested]
@@ -47,7 +47,7 @@ def faults_of(requested: list[str], first: bool) -> list[str]:
 
 
 def rows_of(work: Path, faults: list[str], flags: list[str], remedies: str) -> tuple[list[dict], dict]:
-    """A row a cell, and what was left out with the conditions of all."""
+    """Return one row per cell, and what was left out with the common conditions."""
     reply = stylerf("stress", str(work), "--faults", *faults, "--remedies", remedies, "--quiet", *flags)
     rows = [{"work": work.name} | {key: cell[key] for key in KEPT} for cell in reply["cells"]]
     missing = [{"work": work.name, **one} for one in reply["missing"]]

@@ -1,12 +1,12 @@
 """The official TensoRF code on the same views: `python -m benchmarks.tensorf CHECKOUT LEGO OUT.json NAME ITERATIONS`.
 
-CHECKOUT: a clone of github.com/apchenstu/TensoRF, which this runs and never changes; LEGO: the data folder.
+CHECKOUT: a clone of github.com/apchenstu/TensoRF, which is run but never modified; LEGO: the data folder.
 
 Protocol: its own train.py and configs/lego.txt on lego's training photos at 200x200, on the CPU. NAME `shipped` runs
-its schedule as it is, for the first ITERATIONS steps; any other name divides each number of its schedule (steps, grid
-growth, masks) by 30,000 / ITERATIONS. Every LOOK steps VIEWS test views are rendered and measured; that is left out of
-its seconds. Freed memory is kept for the next step (glibc's settings below): each takes gigabytes, and where they go
-back to the system, clearing them again was more than half of the time.
+its schedule unchanged, for the first ITERATIONS steps; any other name divides each number of its schedule (steps, grid
+growth, masks) by 30,000 / ITERATIONS. Every LOOK steps, VIEWS test views are rendered and measured, which is excluded
+from its seconds. Freed memory is kept for the next step (see the glibc settings below): every step needs gigabytes, and
+when they were returned to the system, clearing them again took more than half of the time.
 """
 
 import json
@@ -30,7 +30,7 @@ SCHEDULE = {"upsamp_list": (2000, 3000, 4000, 5500, 7000), "update_AlphaMask_lis
 
 
 def stand_in(name: str, **members) -> None:
-    """A module of which the run needs only `members`, where it is not installed."""
+    """Install a stand-in module that has only `members`."""
     module = types.ModuleType(name)
     for member, value in members.items():
         setattr(module, member, value)
@@ -38,7 +38,7 @@ def stand_in(name: str, **members) -> None:
 
 
 def stand_ins() -> None:
-    """What the code imports and a CPU run on lego needs little or nothing of."""
+    """Install stand-ins for modules that the code imports but that a CPU run on lego hardly needs."""
     import torch
 
     def to_tensor(image):
@@ -61,7 +61,7 @@ def stand_ins() -> None:
 
 
 def small_photos(data: Path, folder: Path) -> None:
-    """Photos at SIDE pixels, averaged premultiplied as `stylerf import` does; its loader does not resize."""
+    """Write photos of SIDE pixels, averaged premultiplied as in `stylerf import`, since its loader does not resize."""
     from PIL import Image
 
     for split in ("train", "test"):
@@ -79,12 +79,12 @@ def small_photos(data: Path, folder: Path) -> None:
 
 
 def looked_at(count: int) -> list[int]:
-    """VIEWS of so many test views, evenly spread."""
+    """Return the indices of VIEWS out of `count` test views, evenly spaced."""
     return np.linspace(0, count - 1, VIEWS).round().astype(int).tolist()
 
 
 class Looks:
-    """In place of its `evaluation`: the PSNR of a few test views, and the clock stopped meanwhile."""
+    """Replaces its `evaluation`: measures the PSNR of a few test views with the clock stopped."""
 
     def __init__(self, out: Path, head: dict) -> None:
         self.out, self.report = out, head | {"curve": []}
@@ -121,7 +121,7 @@ class Looks:
 
 
 def main() -> None:
-    if not os.environ.keys() >= KEEPING.keys():  # glibc reads them when the process begins
+    if not os.environ.keys() >= KEEPING.keys():  # glibc reads them when the process starts
         command = [sys.executable, "-m", "benchmarks.tensorf", *sys.argv[1:]]
         os.execve(sys.executable, command, {**os.environ, **KEEPING})
     checkout, data, out, name, iterations = *map(Path, sys.argv[1:4]), sys.argv[4], int(sys.argv[5])
@@ -150,7 +150,7 @@ def main() -> None:
             for step in steps:
                 arguments += [f"--{key}", str(max(1, round(step * scale)))]
         sys.argv = arguments
-        # Its loop draws its first step when the bar is asked for it.
+        # Its loop starts with the first iteration of the progress bar.
         ask = tqdm.__iter__
 
         def requested(bar):

@@ -1,8 +1,8 @@
 """Blind votes on pairs of stylizations: `python -m benchmarks.votes OUT.json PAIRS VOTES.json WORK...`.
 
 Protocol: `stylerf compare WORK... --pairs` writes to PAIRS a page of pairs in random order, without names; people vote
-there, and save VOTES.json. Shares are of decided votes, with their Wilson intervals at 95 %. `agreement` is how often a
-figure prefers the picture that was voted for.
+on it and save VOTES.json. Shares are of decided votes, with 95 % Wilson intervals. `agreement` is how often a figure
+prefers the image that was voted for.
 """
 
 import json
@@ -16,7 +16,7 @@ KEPT = ("contender", "won", "decided", "share", "low", "high", "same")
 
 
 def condensed(counted: dict) -> dict:
-    """What is kept of `stylerf compare --votes --json`: shares by scene, painting and contender, and agreement."""
+    """Return a summary of `stylerf compare --votes --json`: shares by scene, painting and contender, and agreement."""
     rows = [
         {"group": group, **{name: one[name] for name in KEPT}}
         for group, members in counted["standings"].items()

@@ -1,4 +1,4 @@
-"""Errors of the mathematics, which stages translate into one-line messages."""
+"""Errors raised by stylerf, which stages convert to one-line messages."""
 
 
 class InvalidValue(ValueError):
@@ -6,8 +6,8 @@ class InvalidValue(ValueError):
 
 
 class Diverged(RuntimeError):
-    """An optimization diverged to NaN or infinity, and rollbacks did not help."""
+    """An optimization diverged to NaN or infinity, and rolling back did not help."""
 
 
 class ProcessLost(RuntimeError):
-    """Another process of a distributed run has ended; holds its own message if it left one."""
+    """Another process of a distributed run has ended; holds that process's message if it left one."""

@@ -1,6 +1,6 @@
-"""Checks of numbers read from files, before anything is computed, allocated or indexed with them.
+"""Validate numbers read from files before they are used in computations, allocations or as indices.
 
-Every function raises InvalidValue, which says what was expected and what was found.
+Every function raises InvalidValue, whose message says what was expected and what was found.
 """
 
 import math
@@ -11,9 +11,9 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 
-LARGEST = 1e9  # scene units, pixels, factors: products of a few of these still fit float32
-LEARNED = 1e6  # trained values: products over a network's layers stay finite; none seen exceeds 1e4
-_AT_ONCE = 1 << 20  # floats checked together, so that they stay in the processor's cache
+LARGEST = 1e9  # scene units, pixels, factors: products of a few of these still fit in float32
+LEARNED = 1e6  # trained values: products over a network's layers stay finite; none observed above 1e4
+_AT_ONCE = 1 << 20  # floats to check at once, so that they stay in the CPU cache
 
 
 def table(value: Any, what: str) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def text(value: Any, what: str) -> str:
 
 
 def entry(data: Any, key: str, kind: type = object) -> Any:
-    """Return data[key] if `data` is a JSON object with a `kind` there."""
+    """Return data[key] if `data` is a JSON object and that value is a `kind`."""
     if key not in table(data, f"what should hold {key}"):
         raise InvalidValue(f"{key} is missing")
     if not isinstance(data[key], kind):
@@ -49,7 +49,7 @@ def one_of(data: Any, key: str, allowed: Collection[str]) -> str:
 
 
 def integer(data: Any, key: str, low: int, high: int) -> int:
-    """Return data[key] if it is an integer, and not a bool, from low to high."""
+    """Return data[key] if it is an integer (not a bool) from low to high."""
     return _integer(entry(data, key), key, low, high)
 
 
@@ -81,10 +81,10 @@ def array(
 
     Args:
         arrays: Arrays by name.
-        name: The one to check.
-        dtype: Its type.
-        shape: Its shape; None for any length along an axis.
-        most: Largest magnitude of its floats; None to accept NaN and infinity too.
+        name: The array to check.
+        dtype: Expected type.
+        shape: Expected shape; None for any length along an axis.
+        most: Maximum magnitude of floats; None to also accept NaN and infinity.
     """
     if name not in arrays:
         raise InvalidValue(f"the array {name} is missing")
@@ -100,7 +100,7 @@ def array(
 
 
 def finite(values: np.ndarray, name: str, most: float = np.inf) -> None:
-    """Raise InvalidValue if an array holds NaN, infinity or a magnitude over `most`."""
+    """Raise InvalidValue if an array holds NaN, infinity or a magnitude above `most`."""
     flat = values.reshape(-1)
     for at in range(0, len(flat), _AT_ONCE):
         some = flat[at : at + _AT_ONCE]
@@ -112,7 +112,7 @@ def finite(values: np.ndarray, name: str, most: float = np.inf) -> None:
 
 
 def bits(arrays: Mapping[str, np.ndarray], name: str, cells: int) -> np.ndarray:
-    """Unpack the array `name`, as numpy.packbits wrote it, to [cells, cells, cells] bool."""
+    """Unpack the array `name`, packed by numpy.packbits, to [cells, cells, cells] bool."""
     packed = array(arrays, name, np.uint8, (-(-(cells**3) // 8),))
     return np.unpackbits(packed, count=cells**3).astype(bool).reshape((cells,) * 3)
 
@@ -139,7 +139,7 @@ def _list(value: Any, what: str, count: int | None) -> list[Any]:
 
 
 def _shown(value: Any) -> str:
-    """Describe `value` briefly."""
+    """Return a brief description of `value`."""
     if value is None or isinstance(value, (bool, dict, list)):
         return {type(None): "null", dict: "an object", list: "a list"}.get(type(value), str(value).lower())
     if isinstance(value, int) and abs(value) >= 10**20:  # str() refuses thousands of digits

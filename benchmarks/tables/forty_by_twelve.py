@@ -1,11 +1,11 @@
-"""The plan of 40 scenes x 12 paintings: `python -m benchmarks.tables.forty_by_twelve OUT.json`.
+"""Plan a table of 40 scenes x 12 paintings: `python -m benchmarks.tables.forty_by_twelve OUT.json`.
 
-Protocol: a table of 40 captures and 12 paintings by the default method, one seed, budgets of 2 min for fit and style,
-an orbit of 60 frames in 4 shards, evaluations along it; priced by stages/farm/costs.json and scheduled for 2 and for
-64 cores, 2 threads a job. Nothing is run: the 64 cores are assumed to be like the two that were measured, and not to
-slow each other down. The row of a GPU takes the budgets that were run on one H200 (benchmarks/results/gpu.json: fits
-of 20 s, stylizations of 30 s, of other quality than those on two cores) and prices everything else as on two cores.
-No such table was measured.
+Protocol: a table of 40 captures and 12 paintings with the default method, one seed, budgets of 2 min for fit and style,
+an orbit of 60 frames in 4 shards, evaluations along it; estimated with stages/farm/costs.json and scheduled for 2 and
+for 64 cores, 2 threads per job. Nothing is run: the 64 cores are assumed to be like the two that were measured, and not
+to slow each other down. The GPU row uses the budgets that were run on one H200 (benchmarks/results/gpu.json: fits of
+20 s, stylizations of 30 s, whose quality differs from those on two cores) and estimates everything else as on two
+cores. No such table was measured.
 """
 
 import json
@@ -25,7 +25,7 @@ SCENES, PAINTINGS = 40, 12
 
 
 def planned_for(cores: int, fit: str, style: str, folder: Path) -> dict:
-    """The plan in a few numbers."""
+    """Return the plan in a few numbers."""
     write_png(folder / "painting.png", np.zeros((8, 8, 3), np.uint8))
     content = {
         "scenes": {f"scene{number}": "photos" for number in range(SCENES)},

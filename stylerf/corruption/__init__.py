@@ -1,1 +1,1 @@
-"""Deliberate, measured faults of captures, photos and style images."""
+"""Controlled faults of captures, photos and style images."""

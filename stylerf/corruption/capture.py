@@ -12,7 +12,7 @@ Point = tuple[float, float, float]
 
 
 def noisy_poses(poses: np.ndarray, degrees: float, share: float, generator: np.random.Generator) -> np.ndarray:
-    """Rotate and translate every camera at random and independently.
+    """Rotate and translate every camera randomly and independently.
 
     Args:
         poses: [n, 4, 4].
@@ -64,7 +64,7 @@ def spread_views(centers: np.ndarray, count: int, generator: np.random.Generator
 def one_sided(poses: np.ndarray, share: float, generator: np.random.Generator) -> list[int]:
     """Choose the fraction `share` of the cameras, at least three, on one side of the scene; return their indices.
 
-    The side is given by the one of 64 random directions along which the cameras spread most.
+    The side is in the direction, out of 64 random ones, along which the cameras spread most.
     """
     directions = generator.standard_normal((64, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -75,11 +75,11 @@ def one_sided(poses: np.ndarray, share: float, generator: np.random.Generator) -
 
 
 def cut_box(aabb: tuple[Point, Point], share: float) -> tuple[Point, Point]:
-    """Cut the fraction `share` off a box (lower, upper corner) at the upper end of its third axis."""
+    """Return a box (lower, upper corner) with the fraction `share` cut off at the upper end of its third axis."""
     low, (x, y, z) = aabb
     return low, (x, y, z - share * (z - low[2]))
 
 
 def late_near(near: float, far: float, share: float, distance: float) -> float:
-    """Move the near plane to `share` of `distance`, but neither closer than it was nor beyond 0.9 far."""
+    """Return the near plane moved to `share` of `distance`, but neither closer than before nor beyond 0.9 far."""
     return min(max(near, share * distance), 0.9 * far)

@@ -1,6 +1,6 @@
 """Faults of photos: drifting exposure, blur, JPEG artifacts.
 
-Photos are [h, w, 3 or 4] float32, sRGB 0..1, straight alpha, which only blur changes.
+Photos are [h, w, 3 or 4] float32, sRGB 0..1, with straight alpha, which only blur changes.
 """
 
 import io
@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 def exposure_stops(count: int, stops: float, generator: np.random.Generator) -> np.ndarray:
     """Return the overexposure of `count` consecutive photos, in stops, [count].
 
-    A ramp from -stops to stops or, at random, the reverse, as when the sun comes out.
+    A ramp from -stops to stops or, randomly, the reverse, as when the sun comes out.
     """
     return float(generator.choice([-1, 1])) * np.linspace(-stops, stops, count)
 

@@ -1,6 +1,6 @@
-"""Style images that stylizations fail on: blank, tiny, huge, without edges, of extreme colors.
+"""Style images on which stylizations fail: blank, tiny, huge, without edges, with extreme colors.
 
-Each is [h, w, 3] float32, sRGB 0..1, the same bits for the same seed.
+Each is [h, w, 3] float32, sRGB 0..1, bit-identical for the same seed.
 """
 
 import numpy as np
@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter, zoom
 
 from stylerf.procedural.painting import paint
 
-REVISION = 1  # raise it if a seed gives another image than before, from here or from `paint`
+REVISION = 1  # increment if a seed gives a different image than before, here or in `paint`
 WHITE = 1.0
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -31,7 +31,7 @@ def tiny(side: int, seed: int) -> np.ndarray:
 
 
 def huge(side: int, seed: int) -> np.ndarray:
-    """Return the painting as a scan of `side` pixels: painted at a quarter, at most 512, enlarged, with grain."""
+    """Return the painting as a scan of `side` pixels: painted at a quarter (at most 512), enlarged, with grain."""
     small = paint(min(512, max(32, side // 4)), seed)
     factor = side / len(small)
     large = zoom(small, (factor, factor, 1), order=1, grid_mode=True, mode="nearest")  # float32, as `small` is
@@ -40,7 +40,7 @@ def huge(side: int, seed: int) -> np.ndarray:
 
 
 def weak_geometry(side: int, seed: int) -> np.ndarray:
-    """Return a wash of smooth color gradients without any edge, which DeSRF names as its limit."""
+    """Return a wash of smooth color gradients without edges, which DeSRF names as its limitation."""
     noise = np.random.default_rng([seed, 8]).standard_normal((side, side, 3))
     smooth = gaussian_filter(noise, (side / 6, side / 6, 0), mode="wrap")
     low, high = smooth.min((0, 1)), smooth.max((0, 1))
@@ -48,6 +48,6 @@ def weak_geometry(side: int, seed: int) -> np.ndarray:
 
 
 def extreme_palette(side: int, seed: int) -> np.ndarray:
-    """Return blots of saturated red and blue with hard edges: every color is a corner of the RGB cube."""
+    """Return blobs of saturated red and blue with hard edges: every color is a corner of the RGB cube."""
     noise = gaussian_filter(np.random.default_rng([seed, 9]).standard_normal((side, side)), side / 24, mode="wrap")
     return np.where((noise > np.median(noise))[..., None], RED, BLUE).astype(np.float32)

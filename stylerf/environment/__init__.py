@@ -1,1 +1,1 @@
-"""Protects the process from its surroundings: untrusted files, the current folder, configuration of libraries."""
+"""Protects the process from its environment: untrusted files, the current folder, library configuration."""

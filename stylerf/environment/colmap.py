@@ -1,6 +1,6 @@
-"""pycolmap without its handler of SIGTERM, which prints a stack trace and ends the process at once.
+"""pycolmap without its SIGTERM handler, which prints a stack trace and ends the process immediately.
 
-Import pycolmap from here only.
+Import pycolmap only from here.
 """
 
 import signal
@@ -10,6 +10,6 @@ import pycolmap
 
 __all__ = ["pycolmap"]
 
-# Python still knows its own handler; setting it again puts it back in place of pycolmap's.
+# Python still knows its own handler; setting it again replaces pycolmap's.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM) or signal.SIG_DFL)

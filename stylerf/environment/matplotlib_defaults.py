@@ -1,7 +1,7 @@
-"""matplotlib with the settings of its own package, so that charts look the same everywhere.
+"""matplotlib with its package defaults, so that charts look the same everywhere.
 
-By default it reads a `matplotlibrc` in the current folder, or the user's, in which `text.usetex` would even run latex.
-Import matplotlib through this module only.
+By default, it reads a `matplotlibrc` in the current folder, or the user's, where `text.usetex` would even run latex.
+Import matplotlib only through this module.
 """
 
 from importlib.util import find_spec

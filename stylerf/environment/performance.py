@@ -8,18 +8,18 @@ LARGEST = 1 << 28  # bytes
 
 
 def wait_passively() -> None:
-    """Have OpenMP's threads sleep between parallel loops; to be called before torch is imported.
+    """Make OpenMP threads sleep between parallel loops; call before importing torch.
 
-    By default they spin for some milliseconds, on the cores that the threads of NNPACK's convolutions need by then.
+    By default they spin for a few milliseconds, on cores that NNPACK's threads need at that time.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def keep_freed_pages() -> bool:
-    """Have glibc keep freed blocks of up to LARGEST bytes for the next request; return whether it will.
+    """Make glibc keep freed blocks of up to LARGEST bytes for later requests; return whether it will.
 
-    By default it returns blocks of more than 32 MB to the system at once, and each new one is paid for page by page.
-    The first feature maps of a 504x378 image are that large. Other C libraries stay as they are.
+    By default, it immediately returns blocks of more than 32 MB to the system, and each new one incurs page faults.
+    The first feature maps of a 504x378 image are that large. Other C libraries are not changed.
     """
     try:
         set_option = ctypes.CDLL(None).mallopt

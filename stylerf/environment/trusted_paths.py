@@ -1,4 +1,4 @@
-"""Keeps out what somebody else could have written: compiled code, and configuration in the current folder."""
+"""Guards against files that other users could have written: compiled code, and configuration in the current folder."""
 
 import os
 import stat
@@ -8,16 +8,16 @@ from pathlib import Path
 
 
 def user_id() -> int:
-    """Return the user's number; zero on Windows, which has none."""
+    """Return the user ID; zero on Windows, which has none."""
     return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
 def not_ours(path: Path) -> str | None:
-    """Say why an existing path may have been written by somebody else, as words that follow its name; None if not.
+    """Return why an existing path may have been written by another user, phrased to follow its name; None if not.
 
-    Everything in it must belong to this user, be no link, and be closed to other users' writes. The folders that lead
-    to it must belong to this user or to root, and be closed to others' writes unless they are sticky. On
-    Windows, whose file modes show neither users nor rights, only links are checked.
+    Everything in it must belong to this user, must not be a link, and must not be writable by other users. Its parent
+    folders must belong to this user or root, and must not be writable by others unless they are sticky. On Windows,
+    whose file modes show neither users nor permissions, only links are checked.
     """
     found = path.lstat()
     if why := _foreign(found) or _open(found):
@@ -29,13 +29,13 @@ def not_ours(path: Path) -> str | None:
             continue
         if why := _foreign(inside) or (_open(inside) if found.st_mode & 0o011 else None):
             return f"holds {place.relative_to(path)}, which {why}"
-    # The path as written, whose links could be redirected, and the path with links resolved.
+    # Both the path as given, whose links could be redirected, and the path with links resolved.
     for parent in dict.fromkeys([*Path(os.path.abspath(path)).parents, *path.resolve().parents]):
         for folder in (parent.lstat(), parent.stat()):
             if folder.st_uid not in (0, user_id()):
-                return f"lies in {parent}, which belongs to user {folder.st_uid}"
+                return f"is in {parent}, which belongs to user {folder.st_uid}"
         if not folder.st_mode & stat.S_ISVTX and (why := _open(folder)):
-            return f"lies in {parent}, which {why}"
+            return f"is in {parent}, which {why}"
     return None
 
 
@@ -48,7 +48,7 @@ def _foreign(found: os.stat_result) -> str | None:
 def _open(found: os.stat_result) -> str | None:
     if not hasattr(os, "getegid"):
         return None
-    # Many systems give each user a private group with the user's number, which may write to all of the user's files.
+    # Many systems give each user a private group with the same ID, which may write to all of the user's files.
     own_group = found.st_gid == os.getegid() == user_id()
     others = stat.S_IWOTH if own_group else stat.S_IWOTH | stat.S_IWGRP
     return "can be written by others" if found.st_mode & others else None
@@ -56,12 +56,12 @@ def _open(found: os.stat_result) -> str | None:
 
 @contextmanager
 def current_folder(folder: Path) -> Iterator[None]:
-    """Make `folder` the current one inside the block, since libraries read configuration from it at their import.
+    """Make `folder` the current folder inside the block, since libraries read configuration from it when imported.
 
-    Affects all threads, so use it for imports only.
+    Affects all threads, so use it only for imports.
 
-    The previous folder is held open rather than remembered by name, since it may be renamed or deleted.
-    Windows can only go back by name, but lets nobody rename or delete a current folder.
+    The previous folder is kept open rather than remembered by name, since it may be renamed or deleted. Windows can
+    only return to it by name, but does not allow renaming or deleting the current folder.
     """
     if not hasattr(os, "fchdir"):
         with chdir(folder):

@@ -6,8 +6,8 @@ W is the 2-Wasserstein distance in one dimension: the root mean square differenc
 of a regular icosahedron and dodecahedron; sum u_k u_k^T = K/3, so a shift of all colors by x has a distance of exactly
 |x|, in CIE76 units: about 2.3 is just noticeable.
 
-A Gaussian's mean and covariance are what color matching fits (`palette_distance` measures them); this distance also
-sees what they leave out: that a style image has three inks, and the render a blend of them.
+Color matching fits the mean and covariance of a Gaussian (`palette_distance` measures them); this distance also sees
+what they miss, for example that a style image has three inks where the render has blends of them.
 """
 
 import numpy as np
@@ -16,12 +16,12 @@ from skimage.color import rgb2lab
 from stylerf.errors import InvalidValue
 
 QUANTILES = 1024
-CHUNK = 1 << 20  # colors that are converted at once
+CHUNK = 1 << 20  # colors to convert at once
 GOLDEN = (1 + 5**0.5) / 2
 
 
 def _axes() -> np.ndarray:
-    """Unit vectors [16, 3]: one of each opposite pair of vertices of an icosahedron and a dodecahedron."""
+    """Return unit vectors [16, 3]: one per pair of opposite vertices of an icosahedron and a dodecahedron."""
     signs = (-1.0, 1.0)
     icosahedron = [np.roll((0.0, 1.0, s * GOLDEN), turn) for turn in range(3) for s in signs]
     dodecahedron = [np.roll((0.0, 1 / GOLDEN, s * GOLDEN), turn) for turn in range(3) for s in signs]
@@ -34,7 +34,7 @@ AXES = _axes()
 
 
 def distance_of_quantiles(a: np.ndarray, b: np.ndarray) -> float:
-    """Return d from the `color_quantiles` of both images, which need not have equally many pixels.
+    """Return d from the color_quantiles() of both images, which may differ in size.
 
     At most sqrt(3) times the 2-Wasserstein distance in three dimensions, in CIELAB (D65) units.
     """
@@ -49,7 +49,7 @@ def color_quantiles(colors: np.ndarray) -> np.ndarray:
     """
     if np.ndim(colors) != 2 or np.shape(colors)[1] != 3 or len(colors) == 0 or not np.isfinite(colors).all():
         raise InvalidValue(f"expected finite colors [n, 3], got an array of shape {np.shape(colors)}")
-    # Single precision and one axis at a time: a scan of 24 megapixels then takes 0.5 GB, not 7.
+    # Single precision and one axis at a time: a scan of 24 megapixels then takes 0.5 GB instead of 7.
     lab = np.concatenate([rgb2lab(colors[i : i + CHUNK].astype(np.float64)[None])[0].astype(np.float32)
                           for i in range(0, len(colors), CHUNK)])  # fmt: skip
     places = np.ceil((np.arange(QUANTILES) + 0.5) / QUANTILES * len(lab)).astype(int) - 1

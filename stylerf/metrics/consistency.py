@@ -1,7 +1,7 @@
-"""Consistency of two views of a field: one is warped to the other by the field's own depth and poses.
+"""Consistency of two views of a field: one is warped to the other using the field's depth and poses.
 
 The surface point of each target pixel, from the target's depth, is projected into the source view, whose color is read
-there (backward warping). No optical flow is estimated, so its errors do not count.
+there (backward warping). No optical flow is estimated, so there are no flow errors.
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class PosedView:
 
 @dataclass(frozen=True)
 class PairConsistency:
-    """The consistency of a pair of views.
+    """Consistency of a pair of views.
 
     Attributes:
         rmse: Root mean square difference over visible pixels and RGB; None if no pixel is visible.
@@ -62,12 +62,12 @@ def warp(
     """Warp the source view to the target view.
 
     A target pixel is visible if its alpha exceeds 0.5, its point projects into the source image, and each of the four
-    source pixels around the projection has an alpha over 0.5 and the point's depth, within the relative `tolerance`.
+    source pixels around the projection has an alpha above 0.5 and the point's depth, within the relative `tolerance`.
     Requiring all four excludes edges, where rendered depth blends two surfaces.
 
     Args:
-        source: The view that colors are read from, bilinearly.
-        target: The view that is warped to.
+        source: The view from which colors are sampled, bilinearly.
+        target: The view to warp to.
         tolerance: Relative depth tolerance.
         erode: Pixels by which the visible area is eroded.
 
@@ -77,7 +77,7 @@ def warp(
     camera = target.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
     opaque = (target.alpha > 0.5) & np.isfinite(target.z) & (target.z > 0)
-    depth = np.where(opaque, target.z, 1.0).reshape(-1).astype(np.float64)  # any finite depth, where it is ignored
+    depth = np.where(opaque, target.z, 1.0).reshape(-1).astype(np.float64)  # any finite depth where it is ignored
     points = camera.unproject(np.stack([columns.reshape(-1), rows.reshape(-1)], axis=-1), depth)
     pixels, z_in_source = source.camera.project(points)
     corners, weights, inside = _bilinear(pixels, source.camera.width, source.camera.height)
@@ -103,9 +103,9 @@ def pair_consistency(
     """Compare the warped source to the target over the visible pixels.
 
     Args:
-        source, target, tolerance, erode: As in `warp`.
-        perceptual: A distance map of two images. Invisible pixels are filled with the target's colors, so that only
-            receptive fields that cross the border see them.
+        source, target, tolerance, erode: As in warp().
+        perceptual: Returns a distance map of two images. Invisible pixels are filled with the target's colors, so they
+            only affect receptive fields that cross the border.
         within: [h, w] bool, pixels of the target to compare; None for all.
     """
     warped, visible = warp(source, target, tolerance, erode)
@@ -123,7 +123,7 @@ def pair_consistency(
 def differences(
     warped: np.ndarray, target: np.ndarray, where: np.ndarray, perceptual: PixelDistance | None
 ) -> tuple[float, float | None]:
-    """Return root mean square difference and mean perceptual distance of images [h, w, 3] over pixels [h, w] bool."""
+    """Return the RMS difference and the mean perceptual distance of images [h, w, 3] over pixels [h, w] bool."""
     distance = None
     if perceptual is not None:
         patched = np.where(where[..., None], warped, target).astype(np.float32)
@@ -132,7 +132,7 @@ def differences(
 
 
 def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> float | None:
-    """Return the fraction of a view's surface points that another view sees through, a sign of floaters.
+    """Return the fraction of a view's surface points that another view sees through, an indication of floaters.
 
     Only points that project to opaque pixels of the other view count; None for fewer than a hundred. A point is seen
     through if all four depths around its projection exceed its own by more than the relative `tolerance`. Silhouettes,
@@ -155,9 +155,9 @@ def seen_through(view: PosedView, other: PosedView, tolerance: float = 0.05) -> 
 def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return flat indices [4, n] and bilinear weights [4, n] of the pixels around positions [n, 2], and validity [n].
 
-    Positions are valid between the centers of the outermost pixels, so no color is extrapolated.
+    Positions are valid between the centers of the outermost pixels, so colors are never extrapolated.
     """
-    slack = 1e-6  # keeps a pixel that maps onto the border from falling outside by rounding
+    slack = 1e-6  # keeps rounding from moving a pixel on the border outside
     with np.errstate(invalid="ignore"):
         x, y = pixels[:, 0] - 0.5, pixels[:, 1] - 0.5
         inside = (x >= -slack) & (y >= -slack) & (x <= width - 1 + slack) & (y <= height - 1 + slack)
@@ -171,7 +171,7 @@ def _bilinear(pixels: np.ndarray, width: int, height: int) -> tuple[np.ndarray, 
 
 
 def _eroded(mask: np.ndarray, steps: int) -> np.ndarray:
-    """Erode a mask by 4-neighborhoods, `steps` times; the image border does not erode it."""
+    """Return a mask eroded `steps` times by 4-neighborhoods; the image border does not erode it."""
     for _ in range(steps):
         padded = np.pad(mask, 1, constant_values=True)
         mask = mask & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]

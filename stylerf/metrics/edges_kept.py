@@ -1,12 +1,12 @@
-"""How much of a photo's structure a stylized view keeps: the share of the photo's edges found again in it.
+"""How much of a photo's structure a stylized view keeps: the fraction of the photo's edges that it contains.
 
-Edges are Canny's (1986) of the luma in units of its standard deviation, so that a change of contrast costs nothing. One
-of the photo is found again if the stylized view has one within TOLERANCE, of nearly the same orientation (either sign:
-inverted contrast keeps an edge). Strokes everywhere would meet many edges by chance; as in Cohen's kappa (1960), the
-chance is taken off:
+Edges are Canny edges (1986) of the luma in units of its standard deviation, so changes of contrast cost nothing. An
+edge of the photo is kept if the stylized view has one within TOLERANCE and with nearly the same orientation (either
+sign: inverted contrast keeps an edge). Strokes everywhere would match many edges by chance, so as in Cohen's kappa
+(1960), chance agreement is subtracted:
 
-    kept = (r - c) / (1 - c),   r = mean over the photo's edge pixels of M(place, orientation),
-                                c = the same with the orientation of each, but at every place of the image
+    kept = (r - c) / (1 - c),   r = mean over the photo's edge pixels of M(position, orientation),
+                                c = the same for each orientation, but averaged over all positions of the image
 
 M is 1 where an edge of the stylized view is near enough.
 """
@@ -18,22 +18,22 @@ from skimage.feature import canny
 from stylerf.errors import InvalidValue
 from stylerf.metrics.image_quality import luminance
 
-SIGMA = 0.004  # of the blur before edges are sought, relative to the longer side: 2 pixels of 504
+SIGMA = 0.004  # of the blur before edge detection, relative to the longer side: 2 pixels of 504
 TOLERANCE = 0.006  # relative to the longer side: 3 pixels of 504
-LOW, HIGH = 0.8, 1.6  # Canny's thresholds of the Sobel gradient (8 times the slope per pixel), standard deviations
-LEAST_SPREAD = 0.04  # of luma: a flatter picture is not stretched to have edges
-BINS = 8  # of orientation, over half a turn; an edge matches its own bin and the two beside it
+LOW, HIGH = 0.8, 1.6  # Canny thresholds for the Sobel gradient (8 times the slope per pixel), standard deviations
+LEAST_SPREAD = 0.04  # minimum standard deviation of luma, so that flat images are not amplified to have edges
+BINS = 8  # of orientation, over 180 degrees; an edge matches its own bin and the two adjacent ones
 
 
 def edges_kept(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the share of the photo's edges that the stylized view keeps, beyond chance: 1 all, 0 no more than chance.
+    """Return the fraction of the photo's edges kept by the stylized view, beyond chance: 1: all, 0: as by chance.
 
-    Not differentiable, and not a loss of any method; `stylize --structure-weight` works towards the same end by the
-    slope of luma in cells of 4 pixels.
+    Not differentiable, and not used as a loss; `stylize --structure-weight` has the same aim, using the luma gradient
+    in cells of 4 pixels.
 
     Args:
         stylized, photo: [h, w, 3], sRGB 0..1.
-        mask: Pixels that count, [h, w] bool; edges along its border do not. None for all.
+        mask: Pixels that count, [h, w] bool; edges along its border are ignored. None for all.
 
     Raises:
         InvalidValue: The images differ in size, a value is not finite, or the photo has no edges.
@@ -62,7 +62,7 @@ def edges_kept(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None 
 
 
 def _edges(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edge pixels [h, w] bool, and the bin of the gradient's orientation at every pixel."""
+    """Return edge pixels [h, w] bool, and the bin of the gradient's orientation at every pixel."""
     luma = luminance(image)
     luma = (luma - luma[mask].mean()) / max(float(luma[mask].std()), LEAST_SPREAD) if mask.any() else luma * 0
     sigma = max(1.0, SIGMA * max(luma.shape))
@@ -73,5 +73,5 @@ def _edges(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _within(places: np.ndarray, reach: float) -> np.ndarray:
-    """Pixels at most `reach` pixels from one of these [h, w]."""
+    """Return the pixels at most `reach` pixels from any of `places` [h, w]."""
     return distance_transform_edt(~places) <= reach if places.any() else np.zeros_like(places)

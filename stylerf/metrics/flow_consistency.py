@@ -1,6 +1,6 @@
-"""View consistency along optical flow, by the protocols of published tables and by a corrected one.
+"""View consistency along optical flow, by the protocols of published tables and a corrected one.
 
-Images are [h, w, 3] sRGB 0..1. A pair is a source, the earlier frame, and a target. For flows see optical_flow.py.
+Images are [h, w, 3] sRGB 0..1. A pair is a source, the earlier frame, and a target. For flows, see optical_flow.py.
 """
 
 from collections.abc import Callable
@@ -20,11 +20,11 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
 
     Args:
         image: [h, w, c].
-        flow: [h, w, 2]; pixels of unknown flow, and those that leave the image, are dropped.
+        flow: [h, w, 2]; pixels with unknown flow, and those that leave the image, are dropped.
         importance: Z, [h, w].
 
     Returns:
-        The warped image [h, w, c], 0 where nothing lands, and where something lands, [h, w] bool.
+        The warped image [h, w, c], 0 where no pixel lands, and a mask of pixels where one does, [h, w] bool.
     """
     height, width, channels = image.shape
     check_flow(flow, (height, width))
@@ -33,12 +33,12 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
     known = np.isfinite(flow).all(axis=-1).reshape(-1)
     rows, columns = np.divmod(np.flatnonzero(known), width)
     move = flow.reshape(-1, 2)[known]
-    # Clipped to places that are outside with all four neighbors: larger floats may not fit int64.
+    # Clipped to positions whose four neighbors are all outside: larger floats may not fit in int64.
     x, y = np.clip(columns + move[:, 0], -2, width + 1), np.clip(rows + move[:, 1], -2, height + 1)
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     colors = np.asarray(image, np.float64).reshape(-1, channels)[known]
     strength = np.asarray(importance, np.float64).reshape(-1)[known]
-    weight = np.exp(strength - strength.max(initial=-np.inf))  # the maximum cancels in the quotient
+    weight = np.exp(strength - strength.max(initial=-np.inf))  # the maximum cancels out
     total, found = np.zeros(height * width), np.zeros((height * width, channels))
     landed = np.zeros(height * width, bool)
     for down in (0, 1):
@@ -58,7 +58,7 @@ def softmax_splat(image: np.ndarray, flow: np.ndarray, importance: np.ndarray) -
 
 
 def photometric_importance(source: np.ndarray, target: np.ndarray, flow: np.ndarray) -> np.ndarray:
-    """Return Z [h, w]: IMPORTANCE times |source - target sampled by the flow|, mean over RGB."""
+    """Return Z [h, w]: IMPORTANCE times |source - target sampled along the flow|, averaged over RGB."""
     return np.asarray(IMPORTANCE * np.abs(np.asarray(source, np.float64) - sampled(target, flow)).mean(axis=-1))
 
 
@@ -67,11 +67,11 @@ ImageDistance = Callable[[np.ndarray, np.ndarray], float]  # two [h, w, 3] image
 
 @dataclass(frozen=True)
 class FlowConsistency:
-    """The consistency of a pair of frames.
+    """Consistency of a pair of frames.
 
     Attributes:
         error: By protocol, a mean of squares summed over RGB or a root mean square; None if nothing was compared.
-        perceptual: Likewise; None without a distance too.
+        perceptual: Perceptual distance; None if nothing was compared or without a distance.
         share: Compared pixels divided by all selected ones.
     """
 
@@ -87,13 +87,13 @@ def laenerf_script(
     backward: np.ndarray,
     perceptual: ImageDistance | None = None,
 ) -> FlowConsistency:
-    """Measure what LAENeRF's released scripts/eval measures, including its bugs.
+    """Measure the same as LAENeRF's released scripts/eval, including its bugs.
 
-    The source is warped by the backward flow. The script flags pixels where the FORWARD flow, sampled by the backward
-    flow, does not cancel the FORWARD flow of the pixel itself (it should be the backward flow; everything that moves by
-    half a pixel is flagged), or where the forward flow has an edge. The error is the mean over FLAGGED pixels of
-    squared differences SUMMED over RGB, without a root. The perceptual distance covers the whole image, and LPIPS gets
-    0..1 instead of -1..1. Images are rounded to eight bits, as the script reads them.
+    The source is warped by the backward flow. The script flags pixels where the FORWARD flow, sampled along the
+    backward flow, does not cancel the FORWARD flow of the pixel itself (it should be the backward flow; everything that
+    moves by half a pixel is flagged), or where the forward flow has an edge. The error is the mean over FLAGGED pixels
+    of squared differences SUMMED over RGB, without a root. The perceptual distance covers the whole image, and LPIPS
+    gets 0..1 instead of -1..1. Images are rounded to 8 bits, as in the script.
 
     Args:
         forward: Flow from source to target.
@@ -106,7 +106,7 @@ def laenerf_script(
     flagged = occluded(forward, sampled(forward, backward), forward)
     share = float(flagged.mean())
     error = float(((warped - target) ** 2).sum(axis=-1)[flagged].mean()) if flagged.any() else None
-    # Our networks expect 0..1 and scale to -1..1: (x + 1) / 2 reproduces LPIPS on unscaled x.
+    # Our networks expect 0..1 and scale to -1..1, so (x + 1) / 2 reproduces LPIPS on unscaled x.
     halves = ((image.astype(np.float32) + 1) / 2 for image in (warped, target))
     return FlowConsistency(error, float(perceptual(*halves)) if perceptual is not None else None, share)
 
@@ -116,7 +116,7 @@ def stylerf_family(
 ) -> FlowConsistency:
     """Measure consistency by the protocol of StyleRF and its followers: softmax splatting along the forward flow.
 
-    All pixels that a source pixel lands on are compared: root mean square over them and RGB, and the mean of the
+    All pixels on which a source pixel lands are compared: root mean square over them and RGB, and the mean of the
     distance map. The protocol ignores occlusion, so disoccluded pixels count as errors.
     """
     _check(source, target, forward, forward)
@@ -132,9 +132,9 @@ def flow_consistency(
     perceptual: PixelDistance | None = None,
     within: np.ndarray | None = None,
 ) -> FlowConsistency:
-    """Measure what `pair_consistency` does, along flows: root mean square over visible pixels of the target and RGB.
+    """Measure the same as pair_consistency(), along flows: root mean square over visible target pixels and RGB.
 
-    Visibility is that of optical_flow.visible. within: [h, w] bool, pixels of the target to compare; None for all.
+    Visibility: see optical_flow.visible(). within: [h, w] bool, pixels of the target to compare; None for all.
     """
     _check(source, target, forward, backward)
     selected = np.ones(target.shape[:2], bool) if within is None else within

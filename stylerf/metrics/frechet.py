@@ -1,8 +1,9 @@
-"""Frechet distance between two sets of vectors, each modeled as a Gaussian; of colors, the palette distance.
+"""Frechet distance between two sets of vectors, each modeled as a Gaussian; for colors, the palette distance.
 
     d^2 = |mu_a - mu_b|^2 + tr(S_a + S_b - 2 (S_a^1/2 S_b S_a^1/2)^1/2)
 
-With the features at all positions of an image as vectors, it is SinGAN's SIFID (single image FID) but for the network.
+With the features at all positions of an image as vectors, it is SinGAN's SIFID (single image FID), except for the
+network.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import numpy as np
 
 from stylerf.errors import InvalidValue
 
-CHUNK = 1 << 20  # vectors that are converted to float64 at once
+CHUNK = 1 << 20  # vectors to convert to float64 at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,7 @@ class Moments:
 
 
 def moments(vectors: np.ndarray) -> Moments:
-    """Return mean and covariance of vectors [n, c] in float64; InvalidValue if there are none or one is not finite."""
+    """Return mean and covariance of vectors [n, c], float64. InvalidValue if there are none or one is not finite."""
     values = np.asarray(vectors)
     if values.ndim != 2 or len(values) == 0 or not np.isfinite(values).all():
         raise InvalidValue(f"expected finite vectors [n, c], got an array of shape {values.shape}")
@@ -40,7 +41,7 @@ def frechet_squared(a: Moments, b: Moments) -> float:
     if a.mean.shape != b.mean.shape:
         raise InvalidValue(f"expected vectors of one length, got {a.mean.shape} and {b.mean.shape}")
     root = symmetric_root(a.covariance)
-    # The trace of the product's root needs eigenvalues only; rounding breaks its symmetry, and their sign.
+    # The trace of the product's root needs only eigenvalues; rounding may break the product's symmetry and their sign.
     cross = np.linalg.eigvalsh(_symmetric(root @ b.covariance @ root))
     shift = a.mean - b.mean
     squared = shift @ shift + np.trace(a.covariance + b.covariance) - 2 * np.sqrt(np.clip(cross, 0, None)).sum()
@@ -59,7 +60,7 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PaletteDistance:
-    """Distances in sRGB values 0..1; the covariance in their square.
+    """Distances in sRGB values 0..1; that of covariances in their square.
 
     Attributes:
         mean: |mu_a - mu_b|.
@@ -78,7 +79,7 @@ def palette_distance(a: np.ndarray, b: np.ndarray) -> PaletteDistance:
 
 
 def distance_of_moments(first: Moments, second: Moments) -> PaletteDistance:
-    """Compare the `color_moments` of two images."""
+    """Compare the color_moments() of two images."""
     return PaletteDistance(
         mean=float(np.linalg.norm(first.mean - second.mean)),
         covariance=float(np.linalg.norm(first.covariance - second.covariance)),
@@ -87,7 +88,7 @@ def distance_of_moments(first: Moments, second: Moments) -> PaletteDistance:
 
 
 def color_moments(colors: np.ndarray) -> Moments:
-    """Return mean and covariance of colors [n, 3]; InvalidValue if there are none or one is not finite."""
+    """Return the mean and covariance of colors [n, 3]. InvalidValue if there are none or one is not finite."""
     if np.ndim(colors) != 2 or np.shape(colors)[1] != 3:
         raise InvalidValue(f"expected finite colors [n, 3], got an array of shape {np.shape(colors)}")
     return moments(colors)

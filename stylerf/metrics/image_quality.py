@@ -1,4 +1,4 @@
-"""Mean squared error, PSNR and SSIM of two images, optionally under a mask, and the shift between them.
+"""Mean squared error, PSNR and SSIM of two images, optionally masked, and the shift between them.
 
 Images are float arrays [h, w, 3] or [h, w], sRGB 0..1. NaN and infinity raise InvalidValue. Nothing here is
 differentiable.
@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from stylerf.errors import InvalidValue
 from stylerf.srgb import LUMA
 
-SSIM_WINDOW = 11  # pixels: a Gaussian of sigma 1.5, truncated at 3.5 sigma
+SSIM_WINDOW = 11  # pixels: a Gaussian with sigma 1.5, truncated at 3.5 sigma
 SSIM_SIGMA = 1.5
 STRUCTURE_SIGMA = 0.05  # of the longer side
 CODE_VALUE = 1 / 255  # standard deviation below which an image counts as flat
@@ -31,15 +31,15 @@ def psnr(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
 
 
 def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the structural similarity at each pixel, [h, w], mean over channels, -1..1.
+    """Return the structural similarity at each pixel, [h, w], averaged over channels, -1..1.
 
     Protocol of Wang et al. 2004: Gaussian window 11x11, sigma 1.5, K1 = 0.01, K2 = 0.03, population covariance,
-    data range 1. The image is mirrored at its border; `ssim` leaves out those 5 pixels.
+    data range 1. The image is mirrored at its border; ssim() excludes those 5 pixels.
     """
     _check_pair(a, b)
     if min(a.shape[:2]) < SSIM_WINDOW:
         raise InvalidValue(f"SSIM needs images of at least {SSIM_WINDOW}x{SSIM_WINDOW} pixels, not {a.shape[:2]}")
-    from skimage.metrics import structural_similarity  # late: fits import this module and measure no SSIM
+    from skimage.metrics import structural_similarity  # late import: fits use this module but no SSIM
 
     _, full = structural_similarity(
         np.asarray(a, np.float64),
@@ -55,7 +55,7 @@ def ssim_map(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the mean of `ssim_map` without its 5-pixel border, weighted by `mask` [h, w] if given.
+    """Return the mean of ssim_map() without its 5-pixel border, weighted by `mask` [h, w] if given.
 
     Windows centered in the mask extend up to 5 pixels beyond it.
     """
@@ -70,17 +70,17 @@ def luminance(image: np.ndarray) -> np.ndarray:
 
 
 def content_ssim(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the SSIM of the luma of a stylized render and of the photo: the structure kept, whatever the colors."""
+    """Return the luma SSIM of a stylized render and the photo: the structure kept, regardless of colors."""
     return ssim(luminance(stylized), luminance(photo), mask)
 
 
 def explained_structure(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the fraction, 0..1, of the photo's local luma variance that a local linear fit to the render explains.
+    """Return the fraction, 0..1, of the photo's local luma variance explained by a local linear fit to the render.
 
-    Local means a Gaussian of sigma STRUCTURE_SIGMA times the longer side. With local variances v_p, v_r and covariance
-    c of the two lumas, the best line leaves v_p - c^2 / v_r unexplained; the result is the sum of c^2 / v_r over that
-    of v_p, weighted by `mask`. Lines of negative slope count too: inverted structure is still visible. Where the photo
-    is smooth there is no variance to explain, so brush strokes there cost nothing.
+    Local means a Gaussian with sigma STRUCTURE_SIGMA times the longer side. With local variances v_p, v_r and
+    covariance c of the two lumas, the best line leaves v_p - c^2 / v_r unexplained; the result is the sum of c^2 / v_r
+    over that of v_p, weighted by `mask`. Negative slopes count too: inverted structure is still visible. Where the
+    photo is smooth, there is no variance to explain, so brush strokes there cost nothing.
     """
     _check_pair(stylized, photo)
     sigma = STRUCTURE_SIGMA * max(photo.shape[:2])
@@ -93,7 +93,7 @@ def explained_structure(stylized: np.ndarray, photo: np.ndarray, mask: np.ndarra
     covariance = around(render * wanted) - mean_render * mean_wanted
     of_render = np.maximum(around(render**2) - mean_render**2, 0)  # E[x^2] - E[x]^2 can round below 0
     of_wanted = np.maximum(around(wanted**2) - mean_wanted**2, 0)
-    # c^2 <= v_r v_p (Cauchy-Schwarz) up to rounding; CODE_VALUE keeps a flat render from explaining by noise.
+    # c^2 <= v_r v_p (Cauchy-Schwarz) up to rounding; CODE_VALUE keeps the noise of a flat render from explaining much.
     explained = np.minimum(covariance**2 / (of_render + CODE_VALUE**2), of_wanted)
     return _masked_mean(explained, mask) / (_masked_mean(of_wanted, mask) + CODE_VALUE**2)
 
@@ -120,7 +120,7 @@ def _masked_mean(values: np.ndarray, mask: np.ndarray | None) -> float:
 
 
 FINEST, COARSEST = 1.0, 8.0  # band-pass: standard deviations of the two Gaussians, pixels
-LARGEST_SHARE = 1 / 3  # largest shift, as a fraction of the shorter side
+LARGEST_SHARE = 1 / 3  # maximum shift, as a fraction of the shorter side
 
 
 def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float]:
@@ -133,7 +133,7 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
         The shift (right, down), pixels, and the correlation at the peak, -1..1; zeros if an image is uniform.
     """
     height, width = one.shape
-    # Fades towards the borders, where the images show different things.
+    # Fades out towards the borders, where the images show different content.
     window = np.sqrt(np.outer(np.hanning(height + 2), np.hanning(width + 2)))[1:-1, 1:-1]
     one, other = (_detail(picture, window) for picture in (one, other))
     most = max(1, int(min(height, width) * LARGEST_SHARE))
@@ -143,7 +143,7 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
     if energy <= 1e-9:
         return np.zeros(2), 0.0
     products = np.fft.irfft2(np.fft.rfft2(one, size).conj() * np.fft.rfft2(other, size), size)
-    # Shifts -most - 1 to most + 1 in order; the outer ones serve only as neighbors in the parabola.
+    # Shifts -most - 1 to most + 1 in order; the outermost are only neighbors for the parabola.
     near = np.roll(products, (most + 1, most + 1), axis=(0, 1))[: 2 * most + 3, : 2 * most + 3]
     row, column = np.unravel_index(near[1:-1, 1:-1].argmax(), (2 * most + 1, 2 * most + 1))
     down = row - most + _vertex(near[row : row + 3, column + 1])
@@ -152,14 +152,14 @@ def shift_between(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, float
 
 
 def _detail(picture: np.ndarray, window: np.ndarray) -> np.ndarray:
-    """Band-pass an image and apply the window, with mean 0."""
+    """Return a band-passed and windowed image with mean 0."""
     picture = np.asarray(picture, np.float64)
     detail = gaussian_filter(picture, FINEST) - gaussian_filter(picture, COARSEST)
     return (detail - (detail * window).sum() / window.sum()) * window
 
 
 def _vertex(values: np.ndarray) -> float:
-    """Return the vertex of the parabola through three values, the middle one the largest; -1/2..1/2 from the middle."""
+    """Return the vertex, -1/2..1/2 from the middle, of the parabola through three values, the middle one largest."""
     before, middle, after = values
     bend = before - 2 * middle + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0

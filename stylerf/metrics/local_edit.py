@@ -1,4 +1,4 @@
-"""Changes of a local edit inside, next to and away from its region.
+"""Changes made by a local edit inside, next to and away from its region.
 
 Images are [h, w, 3], sRGB 0..1; masks [h, w] bool. NaN and infinity raise InvalidValue.
 """
@@ -20,7 +20,7 @@ class EditMasks:
     Attributes:
         inside: The region.
         outside: The background.
-        ring: The background next to the region, where a bleeding edit shows first.
+        ring: The background next to the region, where bleeding shows first.
     """
 
     inside: np.ndarray
@@ -29,7 +29,7 @@ class EditMasks:
 
 
 def split_view(inside: np.ndarray, margin: float, ring: float) -> EditMasks:
-    """Split a view by Euclidean distance of pixel centers from the region.
+    """Split a view by the Euclidean distance of pixel centers from the region.
 
     Args:
         inside: [h, w] bool, the region.
@@ -60,7 +60,7 @@ class Change:
     """Means over pixels.
 
     Attributes:
-        absolute: |a - b|, mean over RGB.
+        absolute: |a - b|, averaged over RGB.
         lab: CIE76 color difference (D65); 2.3 is just noticeable.
     """
 

@@ -1,4 +1,4 @@
-"""Optical flow between two views: from a field's depth and poses, for warping, and with occlusion checks.
+"""Optical flow between two views: computed from a field's depth and poses, used for warping, with occlusion checks.
 
 A flow [h, w, 2] holds, for each pixel of an image, the displacement (right, down), pixels, of its content in another
 image of the same size; NaN or infinity where unknown.
@@ -12,9 +12,9 @@ from stylerf.metrics.consistency import PosedView
 
 
 def field_flow(view: PosedView, other: Camera) -> np.ndarray:
-    """Return the flow [h, w, 2] float64 from a view to another camera, by the view's depth.
+    """Return the flow [h, w, 2] float64 from a view to another camera, from the view's depth.
 
-    NaN where alpha is at most 0.5, the depth unknown, or the point behind the other camera. Occlusion is ignored.
+    NaN where alpha is at most 0.5, the depth is unknown, or the point is behind the other camera. Occlusion is ignored.
     """
     camera = view.camera
     rows, columns = np.meshgrid(np.arange(camera.height) + 0.5, np.arange(camera.width) + 0.5, indexing="ij")
@@ -27,14 +27,14 @@ def field_flow(view: PosedView, other: Camera) -> np.ndarray:
 
 
 def filled(flow: np.ndarray) -> np.ndarray:
-    """Replace unknown flow by 0, right for uniform backgrounds, which appear static."""
+    """Replace unknown flow with 0, which is correct for uniform backgrounds, since they appear static."""
     return np.where(np.isfinite(flow).all(axis=-1, keepdims=True), flow, 0.0)
 
 
 def sampled(values: np.ndarray, flow: np.ndarray) -> np.ndarray:
     """Sample values [h, w, c] bilinearly at each pixel displaced by `flow` [h, w, 2].
 
-    Zero outside; within one pixel of the outermost centers the value fades to 0 (OpenCV's constant border).
+    Zero outside; within one pixel beyond the outermost centers, the value fades to 0 (OpenCV's constant border).
     """
     check_flow(flow, values.shape[:2])
     height, width = values.shape[:2]
@@ -80,7 +80,7 @@ def visible(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """
     check_flow(forward, backward.shape[:2])
     back = filled(backward)
-    # Unknown flow of a source pixel invalidates everything interpolated from it.
+    # Unknown flow at a source pixel invalidates everything interpolated from it.
     known = sampled(np.isfinite(forward).all(axis=-1, keepdims=True).astype(np.float64), back)[..., 0] > 1 - 1e-9
     return inside(backward) & known & ~occluded(back, sampled(filled(forward), back), back)
 

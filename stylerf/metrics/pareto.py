@@ -6,14 +6,14 @@ from stylerf.errors import InvalidValue
 
 
 def pareto_front(costs: Sequence[float], metrics: Sequence[float], higher: bool) -> list[int]:
-    """Return the indices of all Pareto-optimal runs, the cheapest first.
+    """Return the indices of all Pareto-optimal runs, cheapest first.
 
-    A run is dominated by one that is no worse in cost and metric and better in one of them. Equal runs do not dominate
-    each other.
+    A run is dominated by one that is no worse in both cost and metric and better in one of them. Equal runs do not
+    dominate each other.
 
     Args:
         costs: Lower is better.
-        metrics: One for each cost.
+        metrics: One per cost.
     """
     if len(costs) != len(metrics):
         raise InvalidValue(f"expected as many costs as metrics, got {len(costs)} and {len(metrics)}")
@@ -21,7 +21,7 @@ def pareto_front(costs: Sequence[float], metrics: Sequence[float], higher: bool)
     order = sorted(range(len(costs)), key=lambda i: (costs[i], sign * metrics[i]))
     front: list[int] = []
     for i in order:
-        # By ascending cost, the last of the front has the best metric so far: whoever does not beat it is dominated.
+        # By ascending cost, the last on the front has the best metric so far; a run that is not better is dominated.
         best = sign * metrics[front[-1]] if front else float("inf")
         same = bool(front) and (costs[i], metrics[i]) == (costs[front[-1]], metrics[front[-1]])
         if sign * metrics[i] < best or same:

@@ -22,7 +22,7 @@ HEADS = {"vgg": 5, "vgg-blur": 5, "alex": 5, "alex-blur": 5, "squeeze": 7}
 
 
 class _Network(nn.Module):
-    """Holds pretrained weights as buffers: `<layer>_weight`, `<layer>_bias`, and the scaling of the input."""
+    """Holds pretrained weights as buffers: `<layer>_weight`, `<layer>_bias`, and the input scaling."""
 
     input_scale: Tensor
     input_shift: Tensor
@@ -43,7 +43,7 @@ class _Network(nn.Module):
 
 
 class AlexFeatures(_Network):
-    """Five ReLU outputs of AlexNet; `shift_tolerant`: ST-LPIPS' variant with stride 1 and blurred subsampling."""
+    """Five ReLU outputs of AlexNet; `shift_tolerant`: ST-LPIPS's variant with stride 1 and blurred subsampling."""
 
     blur: Tensor
 
@@ -57,7 +57,7 @@ class AlexFeatures(_Network):
         """Return the five feature maps of images [n, 3, h, w]."""
         hidden = image * self.input_scale + self.input_shift
         if self.shift_tolerant:
-            # ST-LPIPS blurs the first convolution before its ReLU, and later pools after their maximum.
+            # ST-LPIPS blurs the first convolution's output before its ReLU, and later pools after the maximum.
             first = F.relu(blur_pool(self.convolve(hidden, "conv1", padding=2), self.blur))
         else:
             first = F.relu(self.convolve(hidden, "conv1", stride=4, padding=2))
@@ -74,10 +74,10 @@ class AlexFeatures(_Network):
 
 
 class SqueezeFeatures(_Network):
-    """Seven outputs of SqueezeNet 1.1, those that LPIPS uses: the first convolution and groups of fire modules."""
+    """The seven outputs of SqueezeNet 1.1 used by LPIPS: the first convolution and groups of fire modules."""
 
-    GROUPS = ((3, 4), (6, 7), (9,), (10,), (11,), (12,))  # fire modules, by torchvision's numbers, between outputs
-    POOLED = 3  # 3x3 max pooling at stride 2 precedes the first three groups
+    GROUPS = ((3, 4), (6, 7), (9,), (10,), (11,), (12,))  # fire modules between outputs, with torchvision's numbers
+    POOLED = 3  # 3x3 max pooling with stride 2 precedes the first three groups
 
     def __init__(self, state: Mapping[str, Tensor]):
         fires = [f"fire{number}" for group in self.GROUPS for number in group]
@@ -132,7 +132,7 @@ class PerceptualDistance(nn.Module):
     def maps(self, first: Tensor, second: Tensor) -> Tensor:
         """Return distance maps [n, h, w]: the sum of all levels, bilinearly resized to the images.
 
-        The mean over a mask is the distance of that part of the image, with receptive fields that extend beyond it.
+        The mean over a mask is the distance for that part of the image, although receptive fields extend beyond it.
         """
         size = first.shape[2:]
         first_level, *rest = (
@@ -147,7 +147,7 @@ class PerceptualDistance(nn.Module):
             raise InvalidValue(
                 f"expected two equal batches [n, 3, h, w], found {tuple(first.shape)}, {tuple(second.shape)}"
             )
-        # On a CPU, convolutions and pooling take a third less time with the channels last.
+        # On a CPU, convolutions and pooling take a third less time in channels-last format.
         first, second = (one.contiguous(memory_format=torch.channels_last) for one in (first, second))
         found = []
         for i, (f, g) in enumerate(zip(self.network(first), self.network(second), strict=True)):

@@ -1,9 +1,9 @@
-"""Speckle: pixels that stand out from all of their neighbors.
+"""Speckle: pixels that differ from all of their neighbors.
 
-    s = sqrt(mean over pixels and channels of e^2),   e = how far a value lies outside the range of its 8 neighbors
+    s = sqrt(mean over pixels and channels of e^2),   e = how far a value is outside the range of its 8 neighbors
 
-A line one pixel wide, an edge, a corner and a gradient have e = 0 but for their ends; a single odd pixel of height h
-adds h^2. White noise of standard deviation sigma gives s = 0.34 sigma.
+Lines one pixel wide, edges, corners and gradients have e = 0 except at their ends; a single outlier pixel of height h
+adds h^2. White noise with standard deviation sigma gives s = 0.34 sigma.
 """
 
 import numpy as np
@@ -15,11 +15,12 @@ NEIGHBORS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
 def speckle(image: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Return the root mean square by which values lie outside the range of their 8 neighbors: 0 (none) to 1.
+    """Return the root mean square by which values are outside the range of their 8 neighbors: 0 (none) to 1.
 
     Args:
         image: [h, w, 3], sRGB 0..1.
-        mask: Pixels that count, [h, w] bool, as do all of their neighbors. None for all. The image's border never does.
+        mask: [h, w] bool; a pixel counts if it and all of its neighbors are set. None for all. Border pixels never
+            count.
 
     Raises:
         InvalidValue: No pixel counts, or a value that counts is not finite.

@@ -1,8 +1,8 @@
 """Procedural scenes and paintings with known ground truth.
 
-Its kernels are compiled once and cached on disk. `compiled` is for functions that only kernels call: without wrappers
-for Python and C they compile 10 % faster. `released` is for functions called from Python; they release the GIL.
-Infinities and NaN must not occur (fast-math).
+Kernels are compiled once and cached on disk. `compiled` is for functions that are only called by kernels: without
+wrappers for Python and C, they compile 10 % faster. `released` is for functions called from Python; they release the
+GIL. Infinities and NaN must not occur (fast-math).
 """
 
 import stylerf.kernels  # noqa: F401, I001 - before numba, which reads its cache folder on import

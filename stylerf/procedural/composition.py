@@ -1,7 +1,7 @@
 """The subject of the procedural painting: a swirling night over bent hills, as regions, flow and colors.
 
-Image coordinates: u to the right and v down, both 0..1. Each region has a stream function: strokes run along its
-level lines, and its colors change across them.
+Image coordinates: u to the right and v down, both 0..1. Each region has a stream function: strokes follow its contour
+lines, and its colors change across them.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
-"""What the still life is made of: color, gloss and glow of every shape at a point of its own frame, compiled.
+"""The still life's materials: color, gloss and emission of every shape at a point in its local frame, compiled.
 
 Colors are linear Rec.709. A surface is (red, green, blue, specular, roughness, metal, glow): diffuse color 0..1,
-reflectance at normal incidence 0..1, width of highlights 0..1, share of metal 0..1 (metal tints its reflection with
-its color and has no diffuse part), light sent out beside the reflected.
+reflectance at normal incidence 0..1, width of highlights 0..1, metalness 0..1 (metal tints its reflection with its
+color and has no diffuse part), emitted light.
 """
 
 from math import atan2, cos, exp, floor, hypot, pi, sin
@@ -127,7 +127,7 @@ def bound_book(x, y, z, a, b, c, seed):
 
 @compiled
 def surface(kind, p, x, y, z, seed):
-    """Surface of a solid of `kind` with parameters p [4] at (x, y, z) of its own frame (see the head of this file)."""
+    """Surface of a solid of `kind` with parameters p [4] at (x, y, z) in its local frame (see the module docstring)."""
     if kind == shapes.DISC:
         return wood(x, y, z, p[0], seed)
     if kind == shapes.VASE:
@@ -137,7 +137,7 @@ def surface(kind, p, x, y, z, seed):
     if kind == shapes.BOOK:
         return bound_book(x, y, z, p[0], p[1], p[2], seed)
     if kind == shapes.BOX:
-        s = 0.998 * 2.0 / p[0]  # four squares a side; shrunk so that a face never lies on a boundary of squares
+        s = 0.998 * 2.0 / p[0]  # four squares per side; shrunk so that no face is on a boundary between squares
         odd = (floor(s * x) + floor(s * y) + floor(s * z)) % 2.0
         grain = 0.85 + 0.3 * noise(18.0 * x, 18.0 * y, 18.0 * z, seed + 91)
         if odd > 0.5:

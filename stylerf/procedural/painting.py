@@ -1,8 +1,8 @@
 """A procedural painting: layers of oriented, thick strokes from broad to fine, contours, and relief.
 
 Strokes follow a flow; their bristles mix two paints and run dry. A canvas is two arrays: paint [n, n, 3] (sRGB-encoded,
-0..1) and height [n, n] (thickness of the paint; 1 is a full brush). Strokes lie in arrays over their points: points
-[m, 2] (x, y in pixels), offsets [k + 1] of each stroke.
+0..1) and height [n, n] (thickness of the paint; 1 is a full brush). Strokes are stored in arrays: points [m, 2] (x, y
+in pixels), offsets [k + 1] of each stroke.
 """
 
 from dataclasses import dataclass
@@ -45,9 +45,9 @@ GROUND = "#5a2315"  # a warm ground that shows between the strokes
 
 
 def paint(size: int = 512, seed: int = 0) -> np.ndarray:
-    """Paint [size, size, 3] float32, sRGB 0..1; the same bytes for the same size and seed."""
+    """Return a painting [size, size, 3] float32, sRGB 0..1; bit-identical for the same size and seed."""
     if size < 32:
-        raise InvalidValue(f"a painting of {size} pixels is too small for strokes; 32 at least")
+        raise InvalidValue(f"a painting of {size} pixels is too small for strokes; at least 32 are needed")
     random = np.random.default_rng([seed, 1])
     large = FINER * size
     subject = compose(large, seed)
@@ -67,12 +67,12 @@ def _paint_layer(canvas, height, subject: Subject, layer: Layer, random, seed: i
     size = len(canvas)
     width, length = layer.width * size, layer.length * size
     wanted = int(layer.cover * size * size / (0.75 * width * length))
-    # Starts outside are moved to the edge, which would otherwise get fewer strokes.
+    # Starting points outside are moved to the edge, which would otherwise get fewer strokes.
     starts = np.clip(random.uniform(-0.04 * size, 1.04 * size, (wanted, 2)), 0, size - 1)
     columns, rows = starts.astype(int).T
     kept = subject.detail[rows, columns] >= layer.detail
     starts, columns, rows = starts[kept], columns[kept], rows[kept]
-    # Fine subjects take narrower and shorter strokes of every brush.
+    # Detailed subjects get narrower and shorter strokes from every brush.
     scale = (1 - 0.45 * subject.detail[rows, columns]) * np.exp(random.normal(0, 0.22, len(starts)))
     turned = subject.angles + 0.16 * np.sin(np.arange(size) * 0.02)[None]
     points, offsets = follow_flow(starts, length * scale, turned, subject.regions, 0.6)
@@ -132,10 +132,10 @@ def _weave(size: int) -> np.ndarray:
 
 @released
 def follow_flow(starts, lengths, angles, regions, step):
-    """Paths along a flow from starts [k, 2], up to `lengths` [k] pixels, ended where the region changes.
+    """Trace paths along a flow from starts [k, 2], up to `lengths` [k] pixels, ending where the region changes.
 
-    angles [n, n] radians: direction of the flow at each pixel; regions [n, n] int. A path runs half its length back
-    and half forward, so that its start is its middle. Returns points [m, 2] and offsets [k + 1].
+    angles [n, n] radians: direction of the flow at each pixel; regions [n, n] int. A path runs half its length backward
+    and half forward, so its start is its middle. Returns points [m, 2] and offsets [k + 1].
     """
     size = angles.shape[0]
     most = int(lengths.max() / step) + 3
@@ -157,7 +157,7 @@ def follow_flow(starts, lengths, angles, regions, step):
                 dx, dy = cos(angle), sin(angle)
                 if i == 0:
                     dx, dy = sense * dx, sense * dy
-                elif dx * cos(heading) + dy * sin(heading) < 0.0:  # a flow has no sign: keep on the way taken
+                elif dx * cos(heading) + dy * sin(heading) < 0.0:  # a flow has no sign: keep the current direction
                     dx, dy = -dx, -dy
                 heading = np.arctan2(dy, dx)
                 trail[count, 0], trail[count, 1] = x, y
@@ -175,7 +175,7 @@ def follow_flow(starts, lengths, angles, regions, step):
 
 @released
 def lay_strokes(paint, height, points, offsets, widths, first, second, dryness, thickness, seed):
-    """Lay strokes on a canvas one over the other, in place.
+    """Paint strokes on a canvas, one over another, in place.
 
     widths [k]: pixels. first, second [k, 3]: the two paints on the brush, mixed from bristle to bristle.
     dryness 0..1: how soon bristles run dry; thickness: of the paint laid.
@@ -225,7 +225,7 @@ def lay_strokes(paint, height, points, offsets, widths, first, second, dryness, 
 
 
 def relief(paint: np.ndarray, height: np.ndarray, depth: float) -> np.ndarray:
-    """The canvas [n, n, 3] lit from the upper left: ridges of paint catch light and cast shade.
+    """Return the canvas [n, n, 3] lit from the upper left: ridges of paint catch light and cast shadows.
 
     depth: height of a full brush in pixels. Returns sRGB-encoded 0..1.
     """
@@ -239,6 +239,6 @@ def relief(paint: np.ndarray, height: np.ndarray, depth: float) -> np.ndarray:
 
 
 def joined(paths: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Paths [.., 2] one after the other: points [m, 2] and offsets [k + 1]."""
+    """Concatenate paths [.., 2]: points [m, 2] and offsets [k + 1]."""
     offsets = np.cumsum([0, *(len(path) for path in paths)]).astype(np.int64)
     return np.concatenate([np.zeros((0, 2)), *paths]), offsets

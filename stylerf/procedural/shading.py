@@ -34,7 +34,7 @@ def ambient(nx, ny, nz):
 
 @compiled
 def surroundings(dx, dy, dz, roughness):
-    """What a reflection sees in a direction that meets no solid: sky, the key light's soft box, the rim window."""
+    """Environment seen by a reflection that hits no solid: sky, the key light's soft box, the rim window."""
     up = smoothstep(-0.25, 0.9, dz)
     soft = 0.012 + 0.28 * roughness
     key = dx * KEY[0] + dy * KEY[1] + dz * KEY[2]
@@ -50,7 +50,7 @@ def surroundings(dx, dy, dz, roughness):
 
 @compiled
 def reflected(scene, seed, x, y, z, nx, ny, nz, dx, dy, dz, roughness):
-    """Light that arrives along the mirror direction: another solid, shaded without shadows, or the surroundings."""
+    """Light arriving along the mirror direction: another solid, shaded without shadows, or the environment."""
     facing = dx * nx + dy * ny + dz * nz
     rx, ry, rz = dx - 2.0 * facing * nx, dy - 2.0 * facing * ny, dz - 2.0 * facing * nz
     away = surroundings(rx, ry, rz, roughness)
@@ -113,7 +113,7 @@ def toned(value, exposure):
 
 @compiled
 def sampled(scene, seed, exposure, lens, pose, column, row):
-    """Toned color and owner of the ray through image position (column, row), pixels; owner -1: background."""
+    """Toned color and hit solid of the ray through image position (column, row), pixels; -1: background."""
     cx, cy = (column - lens[2]) / lens[0], (row - lens[3]) / lens[1]
     dx = pose[0, 0] * cx + pose[0, 1] * cy + pose[0, 2]
     dy = pose[1, 0] * cx + pose[1, 1] * cy + pose[1, 2]
@@ -132,7 +132,7 @@ def sampled(scene, seed, exposure, lens, pose, column, row):
 def averaged(scene, seed, exposure, lens, pose, column, row, side):
     """Box-filtered pixel from side x side samples: (r, g, b premultiplied, coverage, uneven).
 
-    uneven: the samples meet different solids or their brightness differs by more than 0.1.
+    uneven: the samples hit different solids or their brightness differs by more than 0.1.
     """
     red, green, blue, hits = 0.0, 0.0, 0.0, 0
     low, high, first, mixed = 2.0, -1.0, -2, False

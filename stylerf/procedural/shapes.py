@@ -1,8 +1,8 @@
 """Signed distance functions of the still life's shapes, one point at a time, compiled.
 
-Every function takes a point in the shape's own frame (z up, standing on z = 0 unless said) and returns a distance in
-scene units: negative inside, zero on the surface, outside never more than the true distance (each is a combination
-by min, max and smooth min of functions with Lipschitz constant 1), so that a ray may always step that far.
+Every function takes a point in the shape's local frame (z up, resting on z = 0 unless noted) and returns a distance in
+scene units: negative inside, zero on the surface, and outside never more than the true distance (each combines
+functions with Lipschitz constant 1 by min, max and smooth min), so that a ray can always safely step that far.
 """
 
 from math import hypot, sqrt
@@ -85,7 +85,7 @@ def spindle(r, z, half_length, half_width):
 
 @compiled
 def vase(x, y, z):
-    """Amphora of height 1.12: round-cone body, neck, lip and foot, hollow neck; standing on z = 0."""
+    """Amphora of height 1.12: round-cone body, neck, lip and foot, hollow neck; resting on z = 0."""
     body = round_cone(x, y, z - 0.13, 0.14, 0.272, 0.42)
     neck = cylinder(x, y, z, 0.088, 0.5, 1.06, 0.02)
     d = smooth_min(body, neck, 0.2)
@@ -97,7 +97,7 @@ def vase(x, y, z):
 
 @compiled
 def pear(x, y, z):
-    """Pear of height 0.5 with a bent stem; its neck leans towards +x; standing on z = 0."""
+    """Pear of height 0.5 with a bent stem; its neck leans towards +x; resting on z = 0."""
     low = ball(x, y, z - 0.19, 0.19)
     high = ball(x - 0.03, y, z - 0.425, 0.07)
     d = smooth_min(low, high, 0.2)
@@ -107,7 +107,7 @@ def pear(x, y, z):
 
 @compiled
 def apple(x, y, z):
-    """Apple of radius 0.2 (a torus that overlaps itself: dimples at both poles) with a stem; standing on z = 0."""
+    """Apple of radius 0.2 (a torus that overlaps itself: dimples at both poles) with a stem; resting on z = 0."""
     r = hypot(x, y)
     d = hypot(r - 0.07, z - 0.155) - 0.135
     d = smooth_min(d, ball(x, y, z - 0.17, 0.13), 0.06)
@@ -128,7 +128,7 @@ def lemon(x, y, z):
 
 @compiled
 def book(x, y, z, a, b, c):
-    """Closed book about the origin, half sides (a, b, c), lying flat: covers, spine at y = -b, inset pages."""
+    """Closed book about the origin, half sides (a, b, c), flat: covers, spine at y = -b, inset pages."""
     cover = 0.16 * c
     d = box(x, y, abs(z) - c + cover, a, b, cover, 0.35 * cover)
     d = min(d, box(x, y + b - cover, z, a, cover, c, 0.35 * cover))
@@ -137,7 +137,7 @@ def book(x, y, z, a, b, c):
 
 @compiled
 def holder(x, y, z):
-    """Brass candle holder: saucer with a raised rim, socket, finger ring towards -y; standing on z = 0."""
+    """Brass candle holder: saucer with a raised rim, socket, finger ring towards -y; resting on z = 0."""
     d = cylinder(x, y, z, 0.19, 0.0, 0.022, 0.01)
     d = smooth_min(d, ring(x, y, z - 0.03, 0.19, 0.017), 0.03)
     d = smooth_min(d, cylinder(x, y, z, 0.078, 0.0, 0.115, 0.012), 0.05)
@@ -147,7 +147,7 @@ def holder(x, y, z):
 
 @compiled
 def candle(x, y, z, height):
-    """Candle of radius 0.062 with a hollowed top and a wick; standing on z = 0."""
+    """Candle of radius 0.062 with a hollowed top and a wick; resting on z = 0."""
     d = cylinder(x, y, z, 0.062, 0.0, height, 0.014)
     d = max(d, -ball(x, y, z - height - 0.046, 0.06))
     drip = stick(x, y, z, 0.058, 0.02, height - 0.015, 0.06, 0.02, height - 0.14, 0.013)
@@ -169,7 +169,7 @@ def stalk(x, y, z):
 
 @compiled
 def grapes(x, y, z):
-    """A lying bunch of grapes: four rows that narrow towards +x, a second layer on top and a stalk; on z = 0."""
+    """A bunch of grapes: four rows that narrow towards +x, a second layer on top and a stalk; on z = 0."""
     radius = 0.068
     d = 1e9
     for row in range(4):
@@ -190,7 +190,7 @@ def grapes(x, y, z):
 
 @compiled
 def shape_distance(kind, p, x, y, z):
-    """Signed distance to a shape of `kind` with parameters p [4] at the point (x, y, z) of its own frame."""
+    """Signed distance to a shape of `kind` with parameters p [4] at the point (x, y, z) in its local frame."""
     if kind == DISC:
         return cylinder(x, y, z, p[0], -p[1], 0.0, p[2])
     if kind == VASE:

@@ -13,10 +13,10 @@ TABLE_RADIUS = 1.2
 
 @dataclass(frozen=True)
 class Solid:
-    """One solid: its shape, where it stands, and a local box that holds it.
+    """One solid: its shape, its pose, and its local bounding box.
 
-    params: up to four numbers of the shape. low, high: corners of the local box, scene units.
-    world_from_local: [4, 4], a rigid motion.
+    params: up to four parameters of the shape. low, high: corners of the local bounding box, scene units.
+    world_from_local: [4, 4], a rigid transform.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Solid:
 
 
 def standing(x: float, y: float, turn_deg: float = 0.0, lift: float = 0.0) -> np.ndarray:
-    """Return a pose [4, 4] on the table top at (x, y), turned about the vertical, raised by `lift` scene units."""
+    """Return a pose [4, 4] on the table top at (x, y), rotated about the vertical, raised by `lift` scene units."""
     c, s = cos(radians(turn_deg)), sin(radians(turn_deg))
     pose = np.eye(4)
     pose[:2, :2] = [[c, -s], [s, c]]
@@ -52,7 +52,7 @@ def moved(x: float, y: float, z: float) -> np.ndarray:
 
 
 def leaning_cube(book: np.ndarray, depth: float, thickness: float, half: float, reach: float) -> np.ndarray:
-    """Pose of a cube that stands on an edge `reach` before a lying book's long side and leans on its upper edge.
+    """Return the pose of a cube on an edge, `reach` in front of a flat book's long side, leaning on its upper edge.
 
     book: pose of the book's center on the table (local y across its short side); depth, thickness: full sides.
     The tilt is atan(thickness / reach), so that the cube's lower face touches the book's edge.
@@ -63,10 +63,10 @@ def leaning_cube(book: np.ndarray, depth: float, thickness: float, half: float, 
 
 
 def arrangement() -> list[Solid]:
-    """The solids of the still life, within [-1.25, 1.25]^3, standing on the table top z = TABLE_TOP."""
+    """Return the solids of the still life, within [-1.25, 1.25]^3, on the table top z = TABLE_TOP."""
     radius, thick = TABLE_RADIUS, 0.11
     ball, major, minor = 0.205, 0.185, 0.058
-    rest = sqrt((ball + minor) ** 2 - major**2) + minor  # height of a ball's center that rests in a lying ring
+    rest = sqrt((ball + minor) ** 2 - major**2) + minor  # height of the center of a ball that rests in a flat ring
     length, depth, height = 0.30, 0.21, 0.062  # half sides of the book
     book = standing(0.47, 0.28, 32.0, height)
     cube = leaning_cube(book, 2 * depth, 2 * height, 0.145, 0.2)
@@ -95,7 +95,7 @@ def arrangement() -> list[Solid]:
 
 
 def _around(a: float, b: float, c: float) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Return the corners of a box about the origin, of half sides a, b, c."""
+    """Return the corners of a box about the origin with half sides a, b, c."""
     return (-a, -b, -c), (a, b, c)
 
 

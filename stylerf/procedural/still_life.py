@@ -1,7 +1,7 @@
 """A still life with known ground truth: fruit, vase, book, cube, ring, ball and candle on a round wooden table.
 
-Rendered by sphere tracing of signed distance functions. Nothing in it is random from view to view: shadows and
-occlusion are closed-form estimates, so that the same point has the same diffuse color from everywhere.
+Rendered by sphere tracing of signed distance functions. Nothing varies randomly between views: shadows and occlusion
+are closed-form estimates, so a point has the same diffuse color from everywhere.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -22,10 +22,10 @@ EXPOSURE = 0.54
 
 @dataclass(frozen=True, eq=False)
 class TrueView:
-    """What a camera sees, with ground truth.
+    """A rendered view with ground truth.
 
     rgba: [h, w, 4] float32, straight alpha: sRGB-encoded color 0..1 and coverage 0..1, box-filtered.
-    ray_distance, z: [h, w] float32, at pixel centers, not filtered, scene units; inf where the center's ray misses.
+    ray_distance, z: [h, w] float32, at pixel centers, unfiltered, scene units; inf where the center's ray misses.
     """
 
     rgba: np.ndarray
@@ -34,9 +34,9 @@ class TrueView:
 
 
 class StillLife:
-    """The scene as mathematics: distances, hits and pictures. z is up; all of it lies within [-1.25, 1.25]^3.
+    """The analytic scene: distances, hits and images. z is up; everything is within [-1.25, 1.25]^3.
 
-    seed: of the textures (grain, mottling). solids: None for the still life's own, always arranged alike.
+    seed: of the textures (grain, mottling). solids: None for the still life's own, whose arrangement is fixed.
     """
 
     def __init__(self, seed: int = 0, solids: list[Solid] | None = None) -> None:
@@ -45,7 +45,7 @@ class StillLife:
         self._packed = pack(self.solids)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return a lower bound [n] float64 of the signed distance of points [n, 3]: 0 on the surface, < 0 inside."""
+        """Return a lower bound [n] float64 on the signed distance of points [n, 3]: 0 on the surface, < 0 inside."""
         return point_distances(self._packed, np.ascontiguousarray(points, np.float64))
 
     def trace(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -53,7 +53,7 @@ class StillLife:
         return self.trace_owners(origins, directions)[0]
 
     def trace_owners(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Trace rays as `trace` does, and return the index [n] into `solids` too; -1 on a miss."""
+        """Trace rays as trace() does, and also return the index [n] into `solids`; -1 on a miss."""
         directions = np.array(directions, np.float64)
         lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
         if not (lengths > 0).all():
@@ -63,7 +63,7 @@ class StillLife:
         return np.where(owners < 0, np.inf, np.minimum(distances, MISS)), owners
 
     def render(self, camera: Camera, samples: int = 2, edge_samples: int = 4, threads: int = 1) -> TrueView:
-        """Render a camera's view. Each pixel is the mean of samples^2 rays, or of edge_samples^2 where those differ."""
+        """Render a camera's view. Each pixel is the mean of samples^2 rays, or edge_samples^2 where those differ."""
         out = np.empty((camera.height, camera.width, 4), np.float32)
         lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
         pose = np.ascontiguousarray(camera.world_from_camera)
@@ -98,10 +98,10 @@ def dome_cameras(
     angle_x: float = 0.6911112,
     elevations_deg: tuple[float, float] = (10.0, 72.0),
 ) -> list[Camera]:
-    """`count` cameras spread evenly over a dome about the origin, all looking at it.
+    """Return `count` cameras evenly spread over a dome about the origin, all facing it.
 
-    size: pixels, square pictures; radius: scene units; angle_x: horizontal field of view, radians (NeRF-synthetic's).
-    A golden-angle spiral, equal area between the elevations, turned and jittered by the seed.
+    size: pixels, square images; radius: scene units; angle_x: horizontal field of view, radians (NeRF-synthetic's).
+    A golden-angle spiral with equal area between the elevations, rotated and jittered by the seed.
     """
     random = np.random.default_rng(seed)
     low, high = np.sin(np.radians(elevations_deg))

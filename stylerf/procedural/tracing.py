@@ -2,9 +2,9 @@
 
 A scene is a tuple of arrays over its n solids (see `pack` in solids.py):
     kinds [n] int64, poses [n, 12] (rows of the world-from-local rotation, then the translation),
-    params [n, 4], boxes [n, 6] (lowest and highest corner of a local box that holds the solid).
-A ray meets the local box of each solid first and is then stepped against that solid alone, which is several times
-cheaper than stepping against the union.
+    params [n, 4], boxes [n, 6] (lower and upper corner of the solid's local bounding box).
+A ray is first intersected with each solid's bounding box and then stepped against that solid alone, which is several
+times cheaper than stepping against the union.
 """
 
 from math import sqrt
@@ -40,7 +40,7 @@ def turn_local(pose, x, y, z):
 
 @compiled
 def slab(low, high, origin, direction, near, far):
-    """The part of [near, far] during which one coordinate of a ray stays between low and high."""
+    """The part of [near, far] in which one coordinate of a ray is between low and high."""
     if abs(direction) < 1e-12:
         return (near, far) if low <= origin <= high else (1.0, 0.0)
     a, b = (low - origin) / direction, (high - origin) / direction
@@ -49,7 +49,7 @@ def slab(low, high, origin, direction, near, far):
 
 @compiled
 def box_span(bounds, margin, ox, oy, oz, dx, dy, dz, near, far):
-    """The part of [near, far] that a local ray spends in a solid's box widened by `margin`; empty where near > far."""
+    """The part of [near, far] in which a local ray is in a solid's box, enlarged by `margin`; empty if near > far."""
     near, far = slab(bounds[0] - margin, bounds[3] + margin, ox, dx, near, far)
     if near > far:
         return near, far
@@ -63,7 +63,7 @@ def box_span(bounds, margin, ox, oy, oz, dx, dy, dz, near, far):
 def nearest_hit(scene, ox, oy, oz, dx, dy, dz, near, far, tolerance):
     """First surface along a ray with unit direction: (distance, index of the solid), or (MISS, -1).
 
-    A hit is where the distance function falls under `tolerance` (scene units); 256 steps at most a solid.
+    A hit is where the distance function falls below `tolerance` (scene units); at most 256 steps per solid.
     """
     kinds, poses, params, boxes = scene
     best, owner = far, -1
@@ -100,7 +100,7 @@ def scene_distance(scene, x, y, z, far):
 
 @compiled
 def normal_at(scene, k, x, y, z):
-    """Unit outward normal of solid k at a world point: central differences on a tetrahedron, turned to the world."""
+    """Unit outward normal of solid k at a world point: differences on a tetrahedron, rotated to world space."""
     kinds, poses, params, _ = scene
     lx, ly, lz = to_local(poses[k], x, y, z)
     h = 4e-4
@@ -119,11 +119,11 @@ def normal_at(scene, k, x, y, z):
 
 @compiled
 def soft_shadow(scene, x, y, z, dx, dy, dz, far, spread):
-    """Share of an area light that is seen from a point, 0..1: how near, in units of the light's cone, a ray passes.
+    """Visible fraction of an area light, 0..1, from how close a ray passes to solids relative to the light's cone.
 
-    spread: radius of the light over its distance. A ray through a solid's middle gives 0, one that clears it by
-    the cone's radius gives 1; free of noise and the same from every view. The table casts no shadow (every light
-    stands above it) and neither does the flame.
+    spread: radius of the light over its distance. A ray through a solid's center gives 0, one that clears it by the
+    cone's radius gives 1; noise-free and independent of the view. The table casts no shadow (all lights are above it),
+    nor does the flame.
     """
     kinds, poses, params, boxes = scene
     seen = 1.0
@@ -147,7 +147,7 @@ def soft_shadow(scene, x, y, z, dx, dy, dz, far, spread):
 
 @compiled
 def openness(scene, x, y, z, nx, ny, nz):
-    """Ambient light that reaches a point, 0..1: how much room the solids leave along the normal at five distances."""
+    """Ambient light that reaches a point, 0..1, from the free space along the normal at five distances."""
     blocked, weight, h = 0.0, 1.0, 0.025
     for _ in range(5):
         d = scene_distance(scene, x + h * nx, y + h * ny, z + h * nz, h)

@@ -1,7 +1,7 @@
-"""The still life made hard: without texture, with a texture that repeats, of thin rods and rings.
+"""Hard variants of the still life: without texture, with a repeating texture, or made of thin rods and rings.
 
-The shapes and their exact distances are those of the still life; light is plain (one lamp and the sky, no shadows), so
-that a point has one color from everywhere and nothing but the surface is in question.
+The shapes and their exact distances are those of the still life; lighting is simple (one lamp and the sky, no shadows),
+so a point has the same color from everywhere and only the surface matters.
 """
 
 import numpy as np
@@ -13,17 +13,17 @@ from stylerf.procedural.solids import TABLE_RADIUS, Solid, arrangement, standing
 from stylerf.procedural.still_life import StillLife, TrueView
 
 VARIANTS = ("textureless", "repeating", "thin")
-PLASTER = 0.72  # sRGB level of what has no texture
-PERIOD = 0.16  # scene units, of the texture that repeats in all three axes
+PLASTER = 0.72  # sRGB level of untextured surfaces
+PERIOD = 0.16  # scene units, of the texture, which repeats along all three axes
 INKS = ((0.82, 0.74, 0.55), (0.10, 0.22, 0.38))
 ROD, WIRE = 0.008, 0.007  # half a rod's side and radius of a ring's wire, scene units: less than a pixel of 200
 LAMP = np.array([-0.4807, -0.5608, 0.6743])
 NORMAL_STEP = 1e-3
-FINER = 2  # rays a pixel and axis
+FINER = 2  # rays per pixel and axis
 
 
 def thin_arrangement(seed: int) -> list[Solid]:
-    """Return twelve tilted rods and six rings on the still life's table, placed at random by the seed."""
+    """Return twelve tilted rods and six rings on the still life's table, placed randomly by the seed."""
     random = np.random.default_rng([seed, 11])
     solids = [arrangement()[0]]
     for number in range(12):

@@ -1,1 +1,1 @@
-"""A field as 3D Gaussians: placed on its surfaces, then optimized against its own renders (Kerbl et al. 2023)."""
+"""Convert a field to 3D Gaussians: placed on its surfaces, then optimized on its renders (Kerbl et al. 2023)."""

@@ -1,4 +1,4 @@
-"""Pictures of splats with spherical harmonics up to degree 3, in bounded memory."""
+"""Render splats with spherical harmonics up to degree 3, in bounded memory."""
 
 import numpy as np
 
@@ -10,27 +10,28 @@ from stylerf.kernels.cpu.splats import SCREEN, Gaussians, project
 from stylerf.splats.rasterizer import draw_projected, splat_camera
 
 CHUNK = 1 << 18  # splats whose colors are computed at once
-PAIR_BYTES = 16  # of a pair of a tile and a splat that reaches it: the lists of the rasterizer, and their building
+PAIR_BYTES = 16  # per pair of a tile and an overlapping splat: the rasterizer's lists, and building them
 DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}  # by number of bands
 
 
 def picture(
     gaussians: Gaussians, camera: Camera, *, near: float, threads: int, most_bytes: int = 1 << 30
 ) -> np.ndarray:
-    """Draw splats as 3D Gaussian splatting does, without its background.
+    """Render splats as in 3D Gaussian splatting, without a background.
 
-    Where too many splats overlap for the memory, the picture is drawn in bands of rows, with the same result.
+    If there are too many overlapping splats for the memory, the image is rendered in bands of rows, with the same
+    result.
 
     Args:
         gaussians: n splats with 1, 4, 9 or 16 bands of harmonics.
         camera: The camera, scene units.
-        near: Least depth of a splat's center, scene units.
-        threads: Threads; the result does not depend on them.
-        most_bytes: Memory of the lists of what reaches which tile.
+        near: Minimum depth of a splat's center, scene units.
+        threads: Number of threads; the result does not depend on it.
+        most_bytes: Maximum memory of the lists of overlaps between splats and tiles.
 
     Returns:
-        [height, width, 4] float32, rgb premultiplied by alpha and sRGB-encoded, alpha 0..1. Colors of splats are
-        bounded below by 0 and not above.
+        [height, width, 4] float32, rgb premultiplied by alpha and sRGB-encoded, alpha 0..1. Splat colors are bounded
+        below by 0 and unbounded above.
 
     Raises:
         InvalidValue: A single row of tiles needs more memory.
@@ -64,7 +65,7 @@ def _basis(ways: np.ndarray, degree: int) -> np.ndarray:
     if degree < 3:
         return harmonics(ways, degree)
     x, y, z = ways.T
-    # Degree 3 in the signs of 3D Gaussian splatting, after Sloan 2013, appendix A2.
+    # Degree 3 with the signs of 3D Gaussian splatting, from Sloan 2013, appendix A2.
     third = [
         -0.5900435899266435 * y * (3 * x * x - y * y),
         2.890611442640554 * x * y * z,
@@ -78,11 +79,11 @@ def _basis(ways: np.ndarray, degree: int) -> np.ndarray:
 
 
 def _bands(boxes: np.ndarray, height: int, most: int) -> list[tuple[int, int]]:
-    """Cut the picture's rows so that no band has more than `most` pairs of tiles and splats."""
+    """Divide the image's rows into bands with at most `most` pairs of tiles and splats."""
     seen = boxes[boxes[:, 1] > boxes[:, 0]]
     rows = -(-height // TILE)
     across = (seen[:, 1] - seen[:, 0]).astype(np.float64)
-    # Of each row of tiles: every splat adds its width from its first row on, and takes it back after its last.
+    # Per row of tiles: every splat adds its width at its first row and subtracts it after its last.
     steps = np.bincount(seen[:, 2] // TILE, across, rows + 1)
     steps -= np.bincount((seen[:, 3] - 1) // TILE + 1, across, rows + 1)
     found, top, held = [], 0, 0.0
@@ -97,7 +98,7 @@ def _bands(boxes: np.ndarray, height: int, most: int) -> list[tuple[int, int]]:
 
 
 def _shifted(screen: np.ndarray, boxes: np.ndarray, top: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is on the screen from row `top` to `end`, counted from `top`."""
+    """Return `screen` and `boxes` clipped to rows `top` to `end`, relative to `top`."""
     screen, boxes = screen.copy(), boxes.copy()
     screen[:, 1] -= top
     boxes[:, 2:] = (boxes[:, 2:] - top).clip(0, end - top)

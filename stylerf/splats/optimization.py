@@ -1,7 +1,7 @@
-"""Optimization of 3D Gaussians against pictures: Adam on the gradients of the rasterizer (Kerbl et al. 2023).
+"""Optimize 3D Gaussians on images, with Adam and the rasterizer's gradients (Kerbl et al. 2023).
 
-Centers move in units of each Gaussian's own size, so that one learning rate serves near and far. No Gaussian outgrows
-the spacing that it was placed at, or stretches to a needle: between the views that it learns from, both would show.
+Centers move in units of each Gaussian's size, so one learning rate suits near and far ones. No Gaussian may outgrow the
+spacing at which it was placed or become a needle, since both would be visible between training views.
 """
 
 import numpy as np
@@ -13,10 +13,10 @@ from stylerf.training.common.adam import Adam
 
 CENTER_RATE, SCALE_RATE, TURN_RATE, OPACITY_RATE, COLOR_RATE = 0.1, 0.05, 0.01, 0.1, 0.04
 LAST_RATE = 0.1  # of the first; rates fall exponentially
-SHARED_BANDS = 0.2  # rate of the bands above the constant one, of its rate
-EDGE = 0.05  # of the color range: errors below count by their square, above by their size (Charbonnier)
-WIDEST, NARROWEST = 4.0, 0.05  # standard deviations, of the one that a Gaussian was placed with
-LONGEST = 4.0  # largest standard deviation, of the second largest
+SHARED_BANDS = 0.2  # learning rate of higher bands, relative to the constant one
+EDGE = 0.05  # of the color range: smaller errors are squared, larger ones count linearly (Charbonnier)
+WIDEST, NARROWEST = 4.0, 0.05  # standard deviations, relative to a Gaussian's initial one
+LONGEST = 4.0  # maximum standard deviation, relative to the second largest
 LIMITED_EVERY = 8  # steps
 FAINTEST = 0.02  # opacity below which a Gaussian is dropped at the end
 
@@ -25,9 +25,9 @@ class SplatOptimizer:
     """Gaussians and their Adam moments.
 
     Args:
-        gaussians: where they start.
-        near: least depth at which Gaussians are drawn, scene units.
-        threads: cores; the result does not depend on them.
+        gaussians: initial values.
+        near: minimum depth at which Gaussians are rendered, scene units.
+        threads: number of threads; the result does not depend on it.
     """
 
     def __init__(self, gaussians: Gaussians, near: float, threads: int) -> None:
@@ -39,7 +39,7 @@ class SplatOptimizer:
         g, bands = self.gaussians, gaussians.harmonics.shape[1]
         color = np.full((1, bands, 1), COLOR_RATE * SHARED_BANDS, np.float32)
         color[:, 0] = COLOR_RATE
-        # One learning rate an array: bands above the constant one learn in units of their own.
+        # One learning rate per array, so higher bands are trained in scaled units.
         self._units = color / COLOR_RATE
         self._colors = g.harmonics / self._units
         arrays = self._offsets, g.log_scales, g.quaternions, g.logits, self._colors
@@ -50,14 +50,14 @@ class SplatOptimizer:
         )
 
     def step(self, camera: Camera, target: np.ndarray, progress: float) -> float:
-        """Take one step towards a picture.
+        """Take one step towards a target image.
 
         Args:
-            target: [h, w, 4] float32: premultiplied rgb, sRGB-encoded, and alpha, so that what is empty stays empty.
-            progress: 0..1, how much of the optimization is done.
+            target: [h, w, 4] float32: premultiplied rgb, sRGB-encoded, and alpha, so that empty space stays empty.
+            progress: 0..1, completed fraction of the optimization.
 
         Returns:
-            Mean squared error of the rgb before the step.
+            Mean squared error of rgb before the step.
         """
         drawn = splat(self.gaussians, camera, near=self.near, threads=self.threads)
         difference = drawn.image - target
@@ -75,7 +75,7 @@ class SplatOptimizer:
         return float(np.mean(difference[..., :3] ** 2))
 
     def result(self) -> Gaussians:
-        """Return the Gaussians that are not too faint to see, with unit quaternions."""
+        """Return the Gaussians that are not too faint, with unit quaternions."""
         self._limit()
         g = self.gaussians
         kept = g.logits > np.log(FAINTEST / (1 - FAINTEST))
@@ -84,7 +84,7 @@ class SplatOptimizer:
         return Gaussians(*(values[kept] for values in turned))
 
     def _limit(self) -> None:
-        """Keep scales within their limits."""
+        """Clamp scales to their limits."""
         scales, sizes = self.gaussians.log_scales, np.log(self._sizes)
         np.clip(scales, sizes + np.log(NARROWEST), sizes + np.log(WIDEST), out=scales)
         second = np.sort(scales, axis=1)[:, 1:2]

@@ -1,7 +1,7 @@
-"""Placement of 3D Gaussians on points of a field's surfaces, drawn from the very samples that its pictures are made of.
+"""Place 3D Gaussians on points of a field's surfaces, drawn from the same samples as its images.
 
-Points are thinned by cells of the field's space, finer where pictures have detail. The field's space is the measure:
-its cells are as large as a pixel's footprint at every depth.
+Points are thinned by cells of the field's space, finer where images have detail. Cells of that space are about as large
+as a pixel's footprint at every depth.
 """
 
 from dataclasses import dataclass
@@ -24,23 +24,23 @@ from stylerf.rendering.rays import Rendered, render_rays
 from stylerf.rendering.view import RAYS_AT_ONCE
 
 SURFACE_PIXELS = 4.0  # half the thickness of a surface
-FINEST = 2048  # cells along a side, at most
-COARSE_SHARE = 0.6  # of the Gaussians, at most, are the cells that all have; the rest goes to detail
+FINEST = 2048  # maximum cells per side
+COARSE_SHARE = 0.6  # maximum fraction of the Gaussians for uniform coverage; the rest is for detail
 NEIGHBORS = 8
-SPREAD, FLATNESS = 0.6, 0.3  # standard deviation along the surface, of the spacing; across it, of that
-FARTHEST_NEIGHBOR = 4.0  # spacing of a lone point, of its neighbors'
+SPREAD, FLATNESS = 0.6, 0.3  # standard deviation along the surface, relative to the spacing; across, relative to that
+FARTHEST_NEIGHBOR = 4.0  # maximum spacing of an isolated point, relative to its neighbors'
 OPACITIES = 0.1, 0.95
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points that pictures show.
+    """Surface points visible in images.
 
     Attributes:
         centers: [n, 3] float32, scene units.
         colors: [n, 3] float32 in 0..1, sRGB-encoded.
-        opacities: [n] float32 in 0..1, of the surface that the point is part of.
-        detail: [n] float32, contrast of the picture there, from 0.
+        opacities: [n] float32 in 0..1, of the surface that contains the point.
+        detail: [n] float32, local image contrast, nonnegative.
     """
 
     centers: np.ndarray
@@ -58,12 +58,12 @@ class SurfacePoints:
 def picture_and_points(
     field: RadianceField, camera: Camera, farthest: float, generator: np.random.Generator, threads: int
 ) -> tuple[np.ndarray, SurfacePoints]:
-    """Render a view, and draw one point of each ray from its weights: an opaque pixel gives one, an empty one none.
+    """Render a view and draw one point per ray from its weights: an opaque pixel gives one, an empty one none.
 
     Semi-transparent parts get their share, since a ray draws from all of its samples.
 
     Args:
-        farthest: distance, scene units, that an opaque background is moved to; rays reach it at 1e3 or more.
+        farthest: distance, scene units, to which an opaque background is moved; rays reach it at 1e3 or more.
 
     Returns:
         [h, w, 4] float32: premultiplied rgb, sRGB-encoded, and alpha; and the points.
@@ -74,7 +74,7 @@ def picture_and_points(
     parts: list[tuple[np.ndarray, ...]] = []
     for at in range(0, count, RAYS_AT_ONCE):
         pixels = np.arange(at, min(at + RAYS_AT_ONCE, count))
-        pixels = pixels[np.argsort(pixels // camera.width % threads, kind="stable")]  # as render_view deals rows
+        pixels = pixels[np.argsort(pixels // camera.width % threads, kind="stable")]  # as in render_view()
         rays = Rays.of(*camera.rays(pixels), field.space.near)
         rendered = render_rays(
             field, rays, threads=threads, weight_threshold=field.weight_threshold, arena=arena.reset()
@@ -90,14 +90,14 @@ def picture_and_points(
     picture = out.reshape(camera.height, camera.width, 4)
     picture[..., 3] = np.clip(picture[..., 3], 0, 1)
     pixels, centers, colors, opacities = (np.concatenate(part) for part in zip(*parts, strict=True))
-    order = np.argsort(pixels)  # whatever the number of threads
+    order = np.argsort(pixels)  # independent of the number of threads
     detail = _contrast(picture).reshape(-1)[pixels]
     found = [centers.astype(np.float32), colors.astype(np.float32), opacities, detail]
     return picture, SurfacePoints(*(values[order] for values in found))
 
 
 def _colors(field: RadianceField, rendered: Rendered, hit: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Colors [n, 3] of the chosen samples; those without one take their ray's mean, as in compositing."""
+    """Return the colors [n, 3] of the chosen samples; uncolored ones get their ray's mean, as in compositing."""
     colors = rendered.colors[chosen]
     mean = rendered.unmapped[hit, :3] / np.maximum(rendered.unmapped[hit, 3:4], 1e-6)
     colors = np.where(colors[:, :1] < 0, mean, colors)
@@ -107,17 +107,17 @@ def _colors(field: RadianceField, rendered: Rendered, hit: np.ndarray, chosen: n
 
 
 def _contrast(picture: np.ndarray) -> np.ndarray:
-    """Length of the gradient of a picture [h, w, 4], the largest within a pixel, [h, w]."""
+    """Return the gradient magnitude of an image [h, w, 4], the maximum within a pixel, [h, w]."""
     squares = sum(sobel(picture[..., channel], axis) ** 2 for channel in range(4) for axis in (0, 1))
     return maximum_filter(np.sqrt(squares), 3)
 
 
 def thinned(points: SurfacePoints, space: SpaceWarp, most: int) -> SurfacePoints:
-    """Merge the points of each cell; in detailed parts cells are half as long.
+    """Merge the points in each cell; in detailed parts, cells have half the side length.
 
     Args:
-        points: n >= 1 of them.
-        most: points to return, at most.
+        points: at least one.
+        most: maximum number of points to return.
     """
     if not len(points.centers):
         raise InvalidValue("the field shows nothing in its views: there is no surface to place splats on")
@@ -132,7 +132,7 @@ def thinned(points: SurfacePoints, space: SpaceWarp, most: int) -> SurfacePoints
     fine, at, fine_members = np.unique(_cell_numbers(cube, 2 * cells), return_index=True, return_inverse=True)
     detail = np.bincount(members, points.detail) / np.bincount(members)
     order = np.argsort(-detail, kind="stable")
-    # How many points there are if the k most detailed cells are split.
+    # Total number of points if the k most detailed cells are split.
     totals = len(coarse) + np.cumsum(np.bincount(members[at])[order] - 1)
     split = np.zeros(len(coarse), bool)
     split[order[: np.searchsorted(totals, most, side="right")]] = True
@@ -159,7 +159,7 @@ def on_surfaces(points: SurfacePoints, degree: int, threads: int) -> Gaussians:
     spread = SPREAD * np.maximum(spacing, 1e-6 * max(float(np.ptp(centers)), 1e-6))
     around = centers[neighbors] - centers[neighbors].mean(1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
-    axes = axes[:, :, ::-1].copy()  # the normal, along which neighbors vary least, comes last
+    axes = axes[:, :, ::-1].copy()  # the normal, the direction of least variance, is last
     axes[:, :, 2] *= np.sign(np.linalg.det(axes))[:, None]
     opacities = np.clip(points.opacities, *OPACITIES)
     harmonics = np.zeros((len(centers), BANDS[degree], 3), np.float32)
@@ -179,7 +179,7 @@ def _cell_numbers(cube: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Means of values [n] or [n, c] by group."""
+    """Return the means of values [n] or [n, c] by group."""
     counts = np.bincount(groups)
     columns = values.reshape(len(values), -1).T
     means = np.stack([np.bincount(groups, column) / counts for column in columns], -1).astype(np.float32)

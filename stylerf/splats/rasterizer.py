@@ -1,4 +1,4 @@
-"""Pictures of 3D Gaussians on the CPU, and gradients back (kernels/cpu/splats.py)."""
+"""Differentiable rasterization of 3D Gaussians on the CPU (kernels/cpu/splats.py)."""
 
 from dataclasses import dataclass
 
@@ -22,14 +22,14 @@ from stylerf.kernels.cpu.splats import (
 
 @dataclass(frozen=True)
 class Splatted:
-    """A picture of Gaussians, with what the gradients need.
+    """An image of Gaussians, with everything that its gradients need.
 
     Attributes:
         image: [h, w, 4] float32: premultiplied rgb, sRGB-encoded, and alpha.
-        camera, screen, boxes: as the kernels read them, of all Gaussians.
-        order: [seen] int32, the Gaussians in sight, nearest first.
-        first_pairs, places, members, tile_ends: which Gaussians reach which tiles.
-        tiles: [tiles, 4, PIXELS], the picture by tiles: premultiplied rgb and transmittance.
+        camera, screen, boxes: in the kernels' format, for all Gaussians.
+        order: [seen] int32, the visible Gaussians, nearest first.
+        first_pairs, places, members, tile_ends: which Gaussians overlap which tiles.
+        tiles: [tiles, 4, PIXELS], the image by tiles: premultiplied rgb and transmittance.
     """
 
     image: np.ndarray
@@ -45,11 +45,11 @@ class Splatted:
 
 
 def splat(gaussians: Gaussians, camera: Camera, *, near: float, threads: int) -> Splatted:
-    """Draw Gaussians; the result does not depend on the number of threads.
+    """Render Gaussians; the result does not depend on the number of threads.
 
     Args:
-        gaussians: n of them; n may be 0.
-        near: least depth of a center, scene units, positive.
+        gaussians: may be empty.
+        near: minimum depth of a center, scene units, positive.
     """
     n, as_read = len(gaussians.centers), splat_camera(camera, near)
     screen, depths = np.empty((n, SCREEN), np.float32), np.empty(n, np.float32)
@@ -62,7 +62,7 @@ def splat(gaussians: Gaussians, camera: Camera, *, near: float, threads: int) ->
 def draw_projected(
     screen: np.ndarray, boxes: np.ndarray, depths: np.ndarray, width: int, height: int, threads: int
 ) -> tuple[np.ndarray, ...]:
-    """Draw Gaussians as `project` leaves them; return the image, order and lists of a Splatted."""
+    """Render Gaussians projected by project(); return the image, order and lists of a Splatted."""
     n = len(boxes)
     order = np.empty(n, np.int32)
     order = order[: sort_by_depth(depths, boxes, order, np.empty(n, np.int32))]
@@ -81,7 +81,7 @@ def draw_projected(
 def splat_backward(
     gaussians: Gaussians, splatted: Splatted, image_gradients: np.ndarray, gradients: Gaussians, threads: int
 ) -> None:
-    """Write dL/d(gaussians) of those in sight to `gradients`, shaped as they are; others keep their values.
+    """Write dL/d(gaussians) of the visible ones to `gradients`, in the same format; other entries are unchanged.
 
     Args:
         image_gradients: [h, w, 4] float32, dL/d(image).
@@ -98,7 +98,7 @@ def splat_backward(
 
 
 def splat_camera(camera: Camera, near: float) -> SplatCamera:
-    """Return a camera as the kernels read it."""
+    """Return a camera in the kernels' format."""
     pose = camera.camera_from_world
     numbers = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.center], np.float32)
     flat = np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]).astype(np.float32)
@@ -110,14 +110,14 @@ def _tiles(pixels: int) -> int:
 
 
 def _image(tiles: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[tiles, 4, PIXELS] to [h, w, 4]."""
+    """Convert [tiles, 4, PIXELS] to [h, w, 4]."""
     across, down = _tiles(width), _tiles(height)
     full = tiles.reshape(down, across, 4, TILE, TILE).transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 4)
     return np.ascontiguousarray(full[:height, :width])
 
 
 def _by_tiles(image: np.ndarray) -> np.ndarray:
-    """[h, w, 4] to [tiles, 4, PIXELS], 0 outside."""
+    """Convert [h, w, 4] to [tiles, 4, PIXELS], 0 outside."""
     height, width = image.shape[:2]
     across, down = _tiles(width), _tiles(height)
     full = np.zeros((down * TILE, across * TILE, 4), np.float32)

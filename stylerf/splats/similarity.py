@@ -1,4 +1,4 @@
-"""3D Gaussians in other coordinates."""
+"""Transform 3D Gaussians to other coordinates."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -6,11 +6,11 @@ from scipy.spatial.transform import Rotation
 from stylerf.geometry.spherical_harmonics import harmonics
 from stylerf.kernels.cpu.splats import Gaussians
 
-DIRECTIONS = 64  # of the sphere, that a turn of the harmonics is solved from; 9 would do
+DIRECTIONS = 64  # on the sphere, to solve for the rotation of harmonics; 9 would suffice
 
 
 def moved_gaussians(gaussians: Gaussians, similarity: np.ndarray) -> Gaussians:
-    """Return the Gaussians after a similarity [4, 4], scale * rotation | translation; colors turn along."""
+    """Return the Gaussians after a similarity [4, 4], scale * rotation | translation, including their colors."""
     scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     turn = similarity[:3, :3] / scale
     centers = gaussians.centers.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
@@ -27,7 +27,7 @@ def moved_gaussians(gaussians: Gaussians, similarity: np.ndarray) -> Gaussians:
 
 
 def turned_bands(turn: np.ndarray, bands: int) -> np.ndarray:
-    """Return the matrix [bands, bands] of coefficients after a rotation [3, 3]: Y(d) M c = Y(turn^T d) c for all d."""
+    """Return the matrix M [bands, bands] that rotates coefficients by `turn` [3, 3]: Y(d) M c = Y(turn^T d) c."""
     degree = round(bands**0.5) - 1
     directions = np.random.default_rng(0).normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -117,6 +117,7 @@ def diagonal_variation(image: Tensor) -> Tensor:
 
 
 EDGE_CELL = 4  # pixels; finer edges would mostly be grain
+EDGE_CONTRAST = 0.5  # fraction of an edge's contrast that is enough (decision 0068)
 
 
 def luma_gradient(picture: Tensor) -> Tensor:
@@ -127,10 +128,10 @@ def luma_gradient(picture: Tensor) -> Tensor:
 
 
 def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) -> Tensor:
-    """Return how much of the photo's edges is missing: the mean of max(0, |p| - <r, p / |p|>), weighted by alpha.
+    """Return how much of the photo's edges is missing: the mean of max(0, |p| / 2 - <r, p / |p|>), weighted by alpha.
 
-    r is the luma gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere and strengthen the
-    photo's, but plain parts of a style image may not cover details such as petals, letters or faces.
+    r is the luma gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere and weaken the
+    photo's by half, but plain parts of a style image may not cover details such as petals, letters or faces.
 
     Args:
         wanted: p, [2, h', w'].
@@ -138,7 +139,7 @@ def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) 
     """
     length = torch.linalg.vector_norm(wanted, dim=0)
     along = (luma_gradient(picture) * wanted).sum(0) / length.clamp_min(1e-6)
-    missing = F.relu(length - along)
+    missing = F.relu(EDGE_CONTRAST * length - along)
     if alpha is None:
         return missing.mean()
     weights = F.avg_pool2d(alpha[None], EDGE_CELL)[0]

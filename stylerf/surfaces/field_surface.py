@@ -14,11 +14,11 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.surfaces.mesh import Mesh
 from stylerf.surfaces.visibility import DepthView
 
-# Of the densities at which rays have lost half of their light, from thinnest to densest. Half of a fuzzy surface is
-# thinner than the median, which would tear it; the very lowest are those of haze.
+# Quantile of the densities at which rays have lost half of their light. Half of a fuzzy surface is thinner than the
+# median, which would tear it apart; the lowest values are haze.
 LEVEL_QUANTILE = 0.2
-DENSEST_LEVEL = 0.9  # opacity of a cell: above it, interpolation between empty and opaque cells is blind
-BEHIND = 3.0  # cells that a seen point may lie behind the visible surface
+DENSEST_LEVEL = 0.9  # opacity of a cell above which interpolation between empty and opaque cells is inaccurate
+BEHIND = 3.0  # cells that a visible point may be behind the visible surface
 RAYS_PER_VIEW = 2048
 MIN_ALPHA = 0.9  # of rays that end at a surface
 HALF = 0.5
@@ -27,12 +27,12 @@ _MATCH = 1e-6  # cells; two slabs interpolate the vertices of their common plane
 
 
 def grid_size(space: SpaceWarp, resolution: int) -> np.ndarray:
-    """Return the grid points along each axis [3] of a grid with resolution^3 cells that are about cubes."""
+    """Return the number of grid points along each axis, [3], for resolution^3 approximately cubic cells."""
     return space.cells_per_axis(resolution) + 1
 
 
 def cell_size(space: SpaceWarp, resolution: int) -> float:
-    """Return the side of a cell, cube units, mean of the three."""
+    """Return the mean side of a cell, cube units."""
     return float(np.mean(1 / space.cells_per_axis(resolution)))
 
 
@@ -45,12 +45,12 @@ def field_surface(
 ) -> tuple[Mesh, float]:
     """Return the isosurface of a field's density in scene units, and the opacity of a cell on it.
 
-    The density is taken as the opacity of one grid cell, 1 - exp(-optical depth), which lies in 0..1 and varies evenly
-    where densities jump by orders of magnitude. The level is that of the densities at which rays of the cameras have
-    lost half of their light: where renders show the surface, whatever the field's scale.
+    Density is expressed as the opacity of one grid cell, 1 - exp(-optical depth), which is in 0..1 and varies smoothly
+    where densities change by orders of magnitude. The level is chosen from the densities at which the cameras' rays
+    have lost half of their light: where renders show the surface, at any scale of the field.
 
     Raises:
-        InvalidValue: no ray of the cameras ends at a surface.
+        InvalidValue: no camera ray ends at a surface.
     """
     cell = cell_size(field.space, resolution)
     scale = float(OPTICAL_SCALE) * cell
@@ -67,7 +67,7 @@ def field_surface(
 
 
 def seen_part(mesh: Mesh, views: list[DepthView], space: SpaceWarp, tolerance: float) -> Mesh:
-    """Return the faces of a mesh in scene units with a vertex that some view sees. tolerance: cube units."""
+    """Return a mesh, in scene units, reduced to faces with a vertex that some view sees. tolerance: cube units."""
     seen, normals = np.zeros(len(mesh.vertices), bool), mesh.normals()
     for one in views:
         left = np.flatnonzero(~seen)
@@ -76,9 +76,9 @@ def seen_part(mesh: Mesh, views: list[DepthView], space: SpaceWarp, tolerance: f
 
 
 def within_reach(mesh: Mesh, space: SpaceWarp, reach: float) -> Mesh:
-    """Return the faces of a mesh in scene units that lie wholly within reach.
+    """Return a mesh, in scene units, reduced to faces that are entirely within reach.
 
-    reach: of a contraction, multiples of its inner box; of a frustum, multiples of its near depth. A box has all.
+    reach: multiples of the inner box for a contraction, of the near depth for a frustum. In a box, all faces are kept.
     """
     p = np.array(space.parameters)
     if space.kind == "contraction":
@@ -91,7 +91,7 @@ def within_reach(mesh: Mesh, space: SpaceWarp, reach: float) -> Mesh:
 
 
 def rendered_density(field: RadianceField, points: np.ndarray, threads: int) -> np.ndarray:
-    """Return raw density [n] at points [n, 3] of the cube as rays meet it: displaced, and 0 in unoccupied cells."""
+    """Return raw density [n] at cube points [n, 3] as rays see it: displaced, and 0 in unoccupied cells."""
     cells = field.occupancy.cells
     index = np.minimum((points * cells).astype(np.int64), cells - 1)
     flat = (index[:, 0] * cells + index[:, 1]) * cells + index[:, 2]
@@ -103,7 +103,7 @@ def rendered_density(field: RadianceField, points: np.ndarray, threads: int) -> 
 
 
 def displaced(field: RadianceField, points: np.ndarray) -> np.ndarray:
-    """Return points [n, 3] of the cube, float32, where a field's displacement takes them."""
+    """Return cube points [n, 3], float32, after a field's displacement."""
     grid = field.displacement
     if grid is None:
         return points
@@ -115,9 +115,9 @@ def displaced(field: RadianceField, points: np.ndarray) -> np.ndarray:
 
 
 def surface_densities(field: RadianceField, cameras: list[Camera], threads: int) -> np.ndarray:
-    """Return raw densities [n] where rays of the cameras have lost half of their light, at optical depth ln 2.
+    """Return raw densities [n] where the cameras' rays have lost half of their light, at optical depth ln 2.
 
-    Rays are those that end at a surface: alpha at least MIN_ALPHA, not counting an opaque background.
+    Only rays that end at a surface count: alpha at least MIN_ALPHA, not counting an opaque background.
     """
     found = []
     for camera in cameras:
@@ -143,12 +143,12 @@ def isosurface(
     The grid is evaluated slab by slab, so that memory does not grow with the cube of its resolution.
 
     Args:
-        density: of points [n, 3] float32 in the cube, [n] float32.
+        density: maps points [n, 3] float32 in the cube to [n] float32.
         size: [3], grid points along each axis, from face to face of the cube.
-        on_plane: called with the number of planes done after each slab.
+        on_plane: called after each slab with the number of planes done.
 
     Returns:
-        The mesh in cube coordinates, without vertices if the density is nowhere as high.
+        The mesh in cube coordinates, without vertices if the density never reaches the level.
     """
     from skimage.measure import marching_cubes
 
@@ -158,8 +158,8 @@ def isosurface(
     vertices: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     count, at = 0, 0
-    last: np.ndarray | None = None  # the plane that the next slab begins with
-    seam = np.empty((0, 3)), np.empty(0, np.int64)  # vertices on it, and their numbers
+    last: np.ndarray | None = None  # the plane with which the next slab begins
+    seam = np.empty((0, 3)), np.empty(0, np.int64)  # its vertices, and their indices
     while at < depth - 1:
         end = min(at + thick, depth)
         slab = np.empty((end - at, height, width), np.float32)
@@ -180,7 +180,7 @@ def isosurface(
             fresh = joined < 0
             numbers[fresh] = count + np.arange(fresh.sum())
             vertices.append(found[fresh])
-            faces.append(numbers[triangles[:, ::-1]])  # scikit-image winds them the other way round
+            faces.append(numbers[triangles[:, ::-1]])  # scikit-image uses the opposite winding
             count += int(fresh.sum())
             on_last = found[:, 0] > end - 1 - _MATCH
             seam = found[on_last], numbers[on_last]
@@ -194,7 +194,7 @@ def isosurface(
 
 
 def _joined(found: np.ndarray, at: int, seam: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Return [n] for vertices of a slab that begins at plane `at`: their numbers in the slab before, or -1."""
+    """Return, for vertices [n] of a slab that begins at plane `at`, their indices in the previous slab, or -1."""
     from scipy.spatial import KDTree
 
     out = np.full(len(found), -1, np.int64)

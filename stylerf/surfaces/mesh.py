@@ -13,7 +13,7 @@ class Mesh:
     faces: np.ndarray
 
     def with_faces(self, kept: np.ndarray) -> "Mesh":
-        """Return the mesh of the faces marked in `kept` [m] bool, without vertices that none of them uses."""
+        """Return the mesh of the faces marked in `kept` [m] bool, without unused vertices."""
         faces = self.faces[kept]
         used = np.zeros(len(self.vertices), bool)
         used[faces.ravel()] = True
@@ -29,19 +29,19 @@ class Mesh:
         return np.asarray(np.linalg.norm(self.crosses(), axis=1) / 2)
 
     def normals(self) -> np.ndarray:
-        """Return unit vertex normals [n, 3]: the mean of the faces around, weighted by area."""
+        """Return unit vertex normals [n, 3]: the area-weighted mean of the adjacent faces' normals."""
         crosses = self.crosses()
         sums = np.stack(
             [np.bincount(self.faces.ravel(), np.repeat(crosses[:, axis], 3), len(self.vertices)) for axis in range(3)],
             axis=1,
         )
         lengths = np.linalg.norm(sums, axis=1, keepdims=True)
-        # A vertex all of whose faces have no area has no normal; any unit vector is as good.
+        # A vertex whose faces all have zero area has no normal; any unit vector will do.
         return np.where(lengths > 1e-30, sums / np.maximum(lengths, 1e-30), [0.0, 0.0, 1.0])
 
 
 def without_small_pieces(mesh: Mesh, share: float) -> Mesh:
-    """Remove connected pieces with less than `share` of the area of the largest one."""
+    """Return the mesh without connected pieces that have less than `share` of the largest one's area."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

@@ -1,4 +1,4 @@
-"""Colors of surface points as the cameras that see them see them."""
+"""Colors of surface points as seen by the cameras that see them."""
 
 import numpy as np
 
@@ -7,9 +7,9 @@ from stylerf.kernels.cpu.ray_samples import Rays
 from stylerf.rendering.rays import render_rays
 from stylerf.surfaces.visibility import DepthView
 
-CAMERAS = 3  # whose colors are averaged, those that look at a point most directly
+CAMERAS = 3  # number of cameras to average: those that look at a point most directly
 RAYS_AT_ONCE = 8192
-_DIFFERENCE = 1e-4  # of a ray's length, for the speed of the warp along it
+_DIFFERENCE = 1e-4  # of a ray's length, to estimate the warp's speed along it
 
 
 def vertex_colors(
@@ -20,17 +20,17 @@ def vertex_colors(
     tolerance: float,
     threads: int,
 ) -> np.ndarray:
-    """Return the colors of points as rays of cameras meet them, [n, 3] in 0..1, sRGB-encoded.
+    """Return the colors of points as seen by camera rays, [n, 3] in 0..1, sRGB-encoded.
 
-    A ray starts just in front of its point, so that what may hide that from a camera is left out. The colors of up to
-    CAMERAS cameras are averaged, weighted by the squared cosine of their angle to the normal. A point that no camera
-    sees is colored along its normal.
+    A ray starts just in front of its point, so that occluders do not matter. The colors of up to CAMERAS cameras are
+    averaged, weighted by the squared cosine of their angle to the normal. A point that no camera sees is colored along
+    its normal.
 
     Args:
         points, normals: [n, 3], scene units and unit length.
         views: cameras with their depth.
-        tolerance: cube units; how far in front of a point its ray starts, and how far behind the visible surface a seen
-            point may lie.
+        tolerance: cube units; how far in front of a point its ray starts, and how far a visible point may be behind the
+            visible surface.
     """
     facing = np.stack([one.facing(points, normals, field.space, tolerance) for one in views])  # [views, n]
     centers = np.array([one.camera.center for one in views])
@@ -52,7 +52,7 @@ def vertex_colors(
 def _seen_from(
     field: RadianceField, points: np.ndarray, eyes: np.ndarray, tolerance: float, threads: int
 ) -> np.ndarray:
-    """Return the colors [n, 3] of points [n, 3] from as many eyes [n, 3]."""
+    """Return the colors [n, 3] of points [n, 3], each seen from its own eye [n, 3]."""
     rays = points - eyes
     lengths = np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     moved = field.space.warp(points) - field.space.warp(points - _DIFFERENCE * rays)

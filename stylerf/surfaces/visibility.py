@@ -1,4 +1,4 @@
-"""Which points of a surface cameras see, and from how straight in front."""
+"""Which surface points cameras see, and how directly."""
 
 from dataclasses import dataclass
 
@@ -10,13 +10,13 @@ from stylerf.geometry.space_warp import SpaceWarp
 from stylerf.rendering.view import render_view
 
 PIXELS = 20_000  # of a view's depth map
-HALF_SEEN = 0.5  # alpha from which a pixel shows a surface
-GRAZING = 0.05  # smallest cosine of the angle between a normal and the direction to a camera that sees the point
+HALF_SEEN = 0.5  # minimum alpha for a pixel to show a surface
+GRAZING = 0.05  # minimum cosine between a normal and the direction to a camera that sees the point
 
 
 @dataclass(frozen=True, eq=False)
 class DepthView:
-    """A camera and what it sees: z [h, w], planar depth of the visible surface, scene units; 0 where there is none."""
+    """A camera and its depth map: z [h, w], planar depth of the visible surface, scene units; 0 where there is none."""
 
     camera: Camera
     z: np.ndarray
@@ -28,7 +28,7 @@ class DepthView:
 
         small = camera.scaled(min(1.0, (PIXELS / (camera.width * camera.height)) ** 0.5))
         seen = render_view(field, small, threads=threads)
-        # The farthest of a pixel's neighbors: a point between two pixel centers may lie behind either.
+        # The maximum over a pixel's neighbors: a point between two pixel centers may be behind either.
         return DepthView(small, maximum_filter(np.where(seen.alpha > HALF_SEEN, seen.z, 0), 3))
 
     def facing(self, points: np.ndarray, normals: np.ndarray, space: SpaceWarp, tolerance: float) -> np.ndarray:
@@ -36,7 +36,7 @@ class DepthView:
 
         Args:
             normals: [n, 3], unit length.
-            tolerance: cube units that a point may lie behind the visible surface.
+            tolerance: cube units that a point may be behind the visible surface.
         """
         towards = self.camera.center - points
         cosines = (towards * normals).sum(1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-12)

@@ -17,6 +17,10 @@ def add_arguments(parser: Parser) -> None:
 
 def run(args: Any, session: Session) -> dict[str, Any]:
     """Return path, name and figures of the frames, and the regions they have masks of."""
+    from stylerf.geometry.camera_paths import PATHS
+
+    if session.config.count != RenderConfig.count and session.config.path not in PATHS:
+        session.say(f"--count has no effect: --path {session.config.path} has its own number of frames")
     frames = session.pipeline.render(session.config, of=args.of, name=session.name, force=session.force)
     figures, inputs = frames.manifest.figures, frames.manifest.inputs
     result = made("frames", frames)

@@ -116,7 +116,7 @@ def test_a_change_around_a_pixel_is_placed_on_the_visible_surface(work):
         ({"palette": ("0=#ffffff",), "at": ("nobody:1,1",)}, "palette", "view 'nobody' not found"),
         ({"palette": ("0=#ffffff",), "at": ("#0:96,1",)}, "palette", "has 96x72 pixels"),
         ({"palette": ("0=#ffffff",), "at": ("#0:0,0",)}, "palette", "hits nothing in the field"),
-        ({"palette": ("0=#ffffff",), "at": ("#0:48,36",) * 257}, "palette", "around 257 places, and 256 are the most"),
+        ({"palette": ("0=#ffffff",), "at": ("#0:48,36",) * 257}, "palette", "around 257 points; at most 256"),
     ],
 )
 def test_changes_that_cannot_be_made_are_reported(work, options, of, words):

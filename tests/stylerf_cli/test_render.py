@@ -261,6 +261,12 @@ def test_depth_between_near_and_far_tells_the_object_apart(work, capsys):
         assert np.ptp(ndc) > 0.1 and -0.05 < ndc.min() and ndc.max() < 1.05
 
 
+def test_a_count_without_effect_is_reported(work, capsys):
+    said = "--count has no effect: --path test has its own number of frames"
+    assert said in rendered(work, capsys, "--of", "fit", "--path", "test", "--count", "3")[1]
+    assert "no effect" not in rendered(work, capsys, "--of", "fit", "--path", "spiral", "--count", "2", name="few")[1]
+
+
 def test_only_films_have_frames_a_second(work, capsys):
     wanted = ("--of", "fit", "--count", "2", "--path")
     assert read_frames(rendered(work, capsys, *wanted, "test")[0]).fps is None

@@ -1,8 +1,8 @@
-"""Triton kernels: the mathematics of `cpu` on tensors that stay on the device.
+"""Triton kernels: the same algorithms as in `cpu`, on tensors that stay on the device.
 
-Imported lazily: torch's CUDA build includes Triton, its CPU build does not. Gradients are summed by atomics, so that
-runs agree up to rounding, not to the bit. With TRITON_INTERPRET=1 the kernels run slowly on CPU tensors, which is how
-they are tested without a GPU.
+Imported lazily: torch's CUDA build includes Triton, but its CPU build does not. Gradients are accumulated atomically,
+so runs agree up to rounding but are not bit-identical. With TRITON_INTERPRET=1, the kernels run slowly on CPU tensors,
+which is how they are tested without a GPU.
 """
 
 import importlib.util
@@ -18,7 +18,7 @@ def interpreted() -> bool:
 
 
 def unavailable() -> str | None:
-    """Return why no kernel of this package can run here, in one line, or None."""
+    """Return why the kernels of this package cannot run here, as a single line, or None if they can."""
     if importlib.util.find_spec("triton") is None:
         return "Triton is not installed; the CUDA build of torch brings it (pip install triton adds it to another)"
     if interpreted():
@@ -37,7 +37,7 @@ def unavailable() -> str | None:
 
 
 def _cannot_launch() -> str | None:
-    """Return what is missing to compile Triton's launcher, a small C file for this Python, or None."""
+    """Return what is missing to compile Triton's launcher, a small C extension for this Python, or None."""
     if not (os.environ.get("CC") or shutil.which("gcc") or shutil.which("clang")):
         return "Triton finds no C compiler; install gcc, or set CC to one"
     header = Path(sysconfig.get_paths()["include"]) / "Python.h"

@@ -1,4 +1,4 @@
-"""Adam on flat tables in one pass: kernels/cpu/adam.py."""
+"""Adam on flat tables in one pass; see kernels/cpu/adam.py."""
 
 import triton
 import triton.language as tl
@@ -9,7 +9,7 @@ def adam_kernel(
     values, gradients, first, second, rate, beta1, beta2, epsilon, correction1, correction2, begin, end,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """One step on values[begin:end]; gradients are cleared. Runs of eight without any gradient are skipped."""
+    """One step on values[begin:end], which clears gradients. Runs of eight without any gradient are skipped."""
     run = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     at = begin + run[:, None] * 8 + tl.arange(0, 8)[None, :]
     inside = at < end

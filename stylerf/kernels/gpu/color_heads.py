@@ -1,12 +1,13 @@
-"""Color heads behind features of any kind: kernels/cpu/color_heads.py, features and head in one kernel.
+"""Color heads on features of any kind (kernels/cpu/color_heads.py), with features and head in one kernel.
 
     linear    sigmoid(bias + sum_b Y_b head_b . phi); numbers: head [3, BANDS, PIECES RANK], bias [3]
-    harmonic  sigmoid(sum_b Y_b phi_b) of features that are coefficients, [3, BANDS]; numbers: not read
+    harmonic  sigmoid(sum_b Y_b phi_b) for features that are coefficients, [3, BANDS]; numbers: not read
     mlp       sigmoid(W2 relu(W1 (phi, Y) + b1) + b2); numbers, flat: W1 of the features [PIECES RANK, UNITS], W1 of
               the harmonics [BANDS, UNITS], b1 [UNITS], W2 [3, UNITS], b2 [3]
 
-Samples are visited as in tables.py; features never leave the registers. ENCODER, PIECES, RANK and WIDTH say what the
-features are. UNITS: of the hidden layer, a power of two; without one 3 BANDS rounded up to one, at least 16.
+Samples are processed as in tables.py; features never leave registers. ENCODER, PIECES, RANK and WIDTH define the
+features. UNITS: size of the hidden layer, a power of two; without one, 3 BANDS rounded up to a power of two, at least
+16.
 """
 
 import triton
@@ -26,7 +27,7 @@ MOST_BANDS = tl.constexpr(16)  # columns of the tile of harmonics: products of t
 def head_rows(
     head, m: tl.constexpr, columns, output, RANK: tl.constexpr, FEATURES: tl.constexpr, OUTPUTS: tl.constexpr
 ):  # fmt: skip
-    """[UNITS, WIDTH]: the head's weights of piece m, an output for every channel and band; zero beyond."""
+    """[UNITS, WIDTH]: the head's weights for piece m, one output per channel and band; zero beyond."""
     mask = (output[:, None] < OUTPUTS) & (columns[None, :] < RANK)
     return tl.load(head + output[:, None] * FEATURES + m * RANK + columns[None, :], mask=mask, other=0.0)
 
@@ -51,7 +52,7 @@ def hidden_layer(
     numbers, table, layout, x, y, z, s0, s1, s2, basis, band, columns, valid,
     ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, BANDS: tl.constexpr, UNITS: tl.constexpr,
 ):  # fmt: skip
-    """(relu(W1 (phi, Y) + b1) [samples, UNITS], the last piece of phi); a NaN stays one."""
+    """(relu(W1 (phi, Y) + b1) [samples, UNITS], the last piece of phi); propagates NaN."""
     sums = _from_direction(numbers, basis, band, PIECES * RANK, BANDS, UNITS)
     for m in tl.static_range(PIECES):
         phi = piece(m, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER, RANK)
@@ -67,7 +68,7 @@ def color_kernel(
     HEAD: tl.constexpr, ENCODER: tl.constexpr, PIECES: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr,
     BANDS: tl.constexpr, UNITS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """out [n, 3]: colors; -1 in channel 0 of samples below weight_threshold times their ray's largest weight."""
+    """out [n, 3]: colors; -1 in channel 0 for samples below weight_threshold times their ray's largest weight."""
     count = tl.load(total)
     columns, unit = tl.arange(0, WIDTH), tl.arange(0, UNITS)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):

@@ -11,7 +11,7 @@ SURFACE_REACH = tl.constexpr(float(compositing.SURFACE_REACH))
 
 @triton.jit
 def rays_of_program(starts, ends, rays, BLOCK: tl.constexpr):
-    """(rays, which of them exist, their first samples, how many samples they have)."""
+    """(rays, whether they exist, their first samples, their numbers of samples)."""
     r = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     valid = r < rays
     first = tl.load(starts + r, mask=valid, other=0)
@@ -20,9 +20,9 @@ def rays_of_program(starts, ends, rays, BLOCK: tl.constexpr):
 
 @triton.jit(do_not_specialize=["rays"])
 def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK: tl.constexpr):
-    """out[r] = (sum w c (3), sum w, sum w t); samples without a color (colors[k, 0] < 0) take the others' mean.
+    """out[r] = (sum w c (3), sum w, sum w t); samples without a color (colors[k, 0] < 0) get the mean of the others.
 
-    The opaque background (delta 0) is left out of sum w t.
+    The opaque background (delta 0) is excluded from sum w t.
     """
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
@@ -53,7 +53,7 @@ def composite_kernel(weights, deltas, colors, t, starts, ends, out, rays, BLOCK:
 
 @triton.jit(do_not_specialize=["rays"])
 def surface_distance_kernel(weights, t, starts, ends, out, rays, BLOCK: tl.constexpr):
-    """out[r] = distance of what ray r shows; see the CPU's surface_distance."""
+    """out[r] = distance of the surface visible along ray r; see surface_distance in kernels/cpu/compositing.py."""
     r, valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
@@ -82,7 +82,7 @@ def composite_backward_kernel(
     color_gradients, rays,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """From dL/d(out) [rays, 5] to dL/d(sigma) [n] and dL/d(color) [n, 3]; see the CPU's composite_backward.
+    """dL/d(sigma) [n] and dL/d(color) [n, 3] from dL/d(out) [rays, 5]; see composite_backward on the CPU.
 
     near_scaling_distance: gradients of nearer samples are scaled by (t / distance)^2 (scale_near_gradients); 0: none.
     """
@@ -139,7 +139,7 @@ def composite_backward_kernel(
 def distortion_backward_kernel(
     weights, deltas, t, starts, ends, strength, middle, sigma_gradients, rays, BLOCK: tl.constexpr
 ):
-    """Add dL/d(sigma) of each ray's distortion; see the CPU's distortion_backward."""
+    """Add dL/d(sigma) of each ray's distortion loss; see distortion_backward on the CPU."""
     _r, _valid, first, count = rays_of_program(starts, ends, rays, BLOCK)
     zero = first.to(tl.float32) * 0.0
     longest = tl.max(count, axis=0)
@@ -180,8 +180,8 @@ def distortion_backward_kernel(
 def loss_kernel(out, wanted, background, counts, starts, ends, scale, gradients, sums, rays, BLOCK: tl.constexpr):
     """dL/d(out) [rays, 5] of the squared error against straight rgba [rays, 4], both over a background [rays, 3].
 
-    scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that do not fit (they teach nothing
-    and count for nothing).
+    scale: 2 / (3 rays of the whole batch). sums += squared error, samples, rays that do not fit (which have no gradient
+    and no error).
     """
     r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
     lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
@@ -211,10 +211,10 @@ def tuning_loss_kernel(
     out, wanted, depth, counts, starts, ends, level, scale, depth_scale, edited, gradients, sums, rays,
     BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """dL/d(out) [rays, 5] of a fine-tuning: squared error against straight rgba [rays, 4] over gray `level`, times
+    """dL/d(out) [rays, 5] for fine-tuning: squared error against straight rgba [rays, 4] over gray `level`, times
     scale / 2, and at the first `edited` rays (sum w t / depth - 1)^2, times depth_scale / 2, unless the depth is 0.
 
-    sums += squared error at the other rays, at the edited ones, of depths; rays of either kind that do not fit.
+    sums += squared error at the other rays, at edited ones, of depths; number of rays of either kind that do not fit.
     """
     r, valid, _first, held = rays_of_program(starts, ends, rays, BLOCK)
     lost = valid & (tl.load(counts + r, mask=valid, other=0) != held)
@@ -246,7 +246,7 @@ def tuning_loss_kernel(
 
 @triton.jit(do_not_specialize=["count"])
 def shade_backward_kernel(weights, gradients, ray_of, color_gradients, count, BLOCK: tl.constexpr):
-    """dL/dc_k = w_k dL/d(out_r) of `count` samples; gradients [rays, 3]."""
+    """dL/dc_k = w_k dL/d(out_r) for `count` samples; gradients [rays, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = k < count
     a, b, c = vector(gradients, tl.load(ray_of + k, mask=valid, other=0), valid)

@@ -1,8 +1,8 @@
-"""Gradients of a deformation x' = x + D(x), and where a deformed field is occupied: kernels/cpu/deformation.py.
+"""Gradients of a deformation x' = x + D(x), and where a deformed field is occupied; see kernels/cpu/deformation.py.
 
-Densities and colors tell each sample's position its gradient, one after the other; from there it goes to the vertices
-of the grid D by atomics. D is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as the march
-reads it.
+Densities and colors add to the gradient of each sample's position, one after another; from there it is scattered to the
+vertices of the grid D by atomics. D is flat [cells^3, 3] on the vertices of the cube, interpolated trilinearly, as in
+ray marching.
 """
 
 import triton
@@ -33,7 +33,7 @@ def slopes(table, first, second, line, fu, fv, fw, columns, RANK: tl.constexpr, 
 
 @triton.jit
 def turned(m: tl.constexpr, u, v, w, s0, s1, s2):
-    """Slopes along plane m's own axes, in cells of its table, as slopes along x, y, z of the cube."""
+    """Slopes along plane m's axes, per cell of its table, converted to slopes along x, y, z of the cube."""
     if m == 0:
         x, y, z = w, u, v
     elif m == 1:
@@ -48,7 +48,7 @@ def density_position_kernel(
     table, layout, points, sigma, sigma_gradients, total, out, s0, s1, s2,
     DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/dx of a vm or hash density to out [n, 3]; the slope is that of the cell a sample lies in."""
+    """Add dL/dx of a vm or hash density to out [n, 3]; the slope is that of the cell that contains the sample."""
     count = tl.load(total)
     columns = tl.arange(0, WIDTH)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -78,7 +78,7 @@ def vm_color_position_kernel(
     table, head, points, directions, ray_of, colors, color_gradients, total, out, s0, s1, s2,
     RANK: tl.constexpr, WIDTH: tl.constexpr, BANDS: tl.constexpr, OUTPUTS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/dx of vm colors to out [n, 3]; samples with colors[k, 0] < 0 add nothing."""
+    """Add dL/dx of vm colors to out [n, 3]; samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     columns, output = tl.arange(0, WIDTH), tl.arange(0, OUTPUTS)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -127,7 +127,7 @@ def level_slopes(table, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y,
 def hash_color_position_kernel(
     table, layout, points, colors, color_gradients, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add dL/dx of a hash grid's colors to out [n, 3]; samples with colors[k, 0] < 0 add nothing."""
+    """Add dL/dx of a hash grid's colors to out [n, 3]; samples with colors[k, 0] < 0 are skipped."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -149,8 +149,8 @@ def displacement_backward_kernel(
 ):  # fmt: skip
     """Add dL/dD to `to`, flat [cells^3, 3], from dL/dx' [n, 3]; points: the displaced positions x'.
 
-    Where one was clamped to the cube's side it does not move with D. Samples of delta 0 are the opaque background's,
-    which is not displaced.
+    Coordinates clamped to the cube get no gradient. Samples with delta 0 are the opaque background, which is not
+    displaced.
     """
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -179,10 +179,10 @@ def displacement_backward_kernel(
 
 @triton.jit(do_not_specialize=["cells", "reach", "grid_cells"])
 def displaced_cells_kernel(distances, cells, reach, grid, grid_cells, occupied, BLOCK: tl.constexpr):
-    """Set occupied[cell] to 1 where D moves any of 27 points of a cell into an occupied one, else to 0.
+    """Set occupied[cell] to 1 where D maps any of 27 points in the cell into an occupied one, else to 0.
 
-    distances: as Occupancy's, flat [cells^3]. Cells farther than `reach` from what is occupied are not looked at. A
-    lane to a point.
+    distances: as in Occupancy, flat [cells^3]. Cells farther than `reach` from an occupied one are skipped. One lane
+    per point.
     """
     n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     point = tl.arange(0, 32)[None, :]

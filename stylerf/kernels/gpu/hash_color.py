@@ -1,8 +1,7 @@
-"""The hash color of kernels/cpu/hash_grid.py, a lane to a sample and four lanes to a vertex's floats, forward and
-backward.
+"""The hash color of kernels/cpu/hash_grid.py, with one lane per sample and four lanes per vertex, forward and backward.
 
-layout: int32 [6, LEVELS] of Levels.layout() in fields/hash_grid.py: cells a side, multipliers of x and y, mask, first
-float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
+layout: int32 [6, LEVELS] from Levels.layout() in fields/hash_grid.py: cells per side, multipliers of x and y, mask,
+first float, -1 where hashed. Products of hashed levels wrap in 32 bits, as on the CPU.
 """
 
 import triton
@@ -15,7 +14,7 @@ from stylerf.kernels.gpu.shading import sigmoid, to_color, to_learn
 
 @triton.jit
 def vertex_row(layout, level: tl.constexpr, LEVELS: tl.constexpr, i, j, k):
-    """First float (int64) of the vertex i, j, k (int32) of a level."""
+    """First float (int64) of a level's vertex i, j, k (int32)."""
     times_x, times_y = tl.load(layout + LEVELS + level), tl.load(layout + 2 * LEVELS + level)
     mask, first = tl.load(layout + 3 * LEVELS + level), tl.load(layout + 4 * LEVELS + level)
     hashed = tl.load(layout + 5 * LEVELS + level)
@@ -55,14 +54,14 @@ def level_scatter(to, layout, level: tl.constexpr, LEVELS: tl.constexpr, x, y, z
 
 @triton.jit
 def logit(values, lane, j: tl.constexpr):
-    """f[j] + f[3] of [samples, 4]."""
+    """f[j] + f[3] for values [samples, 4]."""
     own = (lane == j) | (lane == 3)
     return tl.sum(tl.where(own[None, :], values, 0.0), axis=1)
 
 
 @triton.jit
 def lane_gradients(lane, g0, g1, g2):
-    """dL/df [samples, 4] from dL/d(logits): the fourth float is part of every channel's logit."""
+    """dL/df [samples, 4] from dL/d(logits); the fourth float is part of every channel's logit."""
     three = tl.where(lane[None, :] == 2, g2[:, None], (g0 + g1 + g2)[:, None])
     return tl.where(lane[None, :] == 0, g0[:, None], tl.where(lane[None, :] == 1, g1[:, None], three))
 

@@ -1,8 +1,8 @@
-"""A multi-resolution hash grid on tiles of samples by columns, all levels at once: kernels/cpu/simd_hash.py.
+"""A multi-resolution hash grid on tiles of samples by columns, all levels at once; see kernels/cpu/simd_hash.py.
 
-A column is one float of one level: level column // ROW, float column % ROW, of ROW floats at a vertex. A tile has
+A column is one float of one level: level column // ROW, float column % ROW, with ROW floats per vertex. A tile has
 WIDTH columns, a power of two; those from ROW LEVELS on are masked out. layout: int32 [6, LEVELS], see hash_color.py.
-Every vertex of an inactive level (fields/hash_grid.py; hashed, with a mask of 0) is its one row.
+All vertices of an inactive level (fields/hash_grid.py; hashed, with a mask of 0) map to its only row.
 """
 
 import triton
@@ -24,7 +24,7 @@ def vertex_number(times_x, times_y, mask, hashed, i, j, k):
 
 @triton.jit
 def _levels_of(layout, columns, LEVELS: tl.constexpr, ROW: tl.constexpr):
-    """(vertices a side, multipliers of x and y, mask, first float of the column, hashed), [1, WIDTH] each."""
+    """(vertices per side, multipliers of x and y, mask, first float of the column, hashed), [1, WIDTH] each."""
     # Columns beyond the last level repeat it: addresses stay valid, and the caller's mask leaves them out.
     level = tl.minimum(columns // ROW, LEVELS - 1)[None, :]
     first = tl.load(layout + 4 * LEVELS + level) + (columns % ROW)[None, :]
@@ -40,7 +40,7 @@ def _levels_of(layout, columns, LEVELS: tl.constexpr, ROW: tl.constexpr):
 
 @triton.jit
 def level_tile(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
-    """[samples, WIDTH]: the interpolated levels side by side, float32; the table may be in half precision."""
+    """[samples, WIDTH]: the interpolated levels, concatenated, float32; the table may be in half precision."""
     size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
     i, fx = cell(x[:, None], size)
     j, fy = cell(y[:, None], size)
@@ -55,7 +55,7 @@ def level_tile(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.co
 
 @triton.jit
 def level_tile_slopes(table, layout, x, y, z, columns, LEVELS: tl.constexpr, ROW: tl.constexpr, mask):
-    """Three tiles [samples, WIDTH]: slopes of level_tile along x, y, z of the cube, in the cell a point lies in."""
+    """Three tiles [samples, WIDTH]: slopes of level_tile along x, y, z of the cube, in each point's cell."""
     size, times_x, times_y, of_hash, first, hashed = _levels_of(layout, columns, LEVELS, ROW)
     i, fx = cell(x[:, None], size)
     j, fy = cell(y[:, None], size)
@@ -94,9 +94,9 @@ def level_tile_scatter(to, layout, x, y, z, gradient, columns, LEVELS: tl.conste
 
 @triton.jit(do_not_specialize=["vertices", "first"])
 def smoothness_kernel(table, to, strength, vertices, first, ROW: tl.constexpr, BLOCK: tl.constexpr):
-    """Add strength * d/dt of half the summed squared differences of neighboring vertices of one direct level to `to`.
+    """Add strength * d/dt of half the sum of squared differences of one direct level's neighboring vertices to `to`.
 
-    vertices: a side; first: the level's first float; a lane to a float.
+    vertices: per side; first: the level's first float; one lane per float.
     """
     n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     vertex = n // ROW

@@ -15,7 +15,7 @@ def offset(row, width, column):
 
 @triton.jit
 def cell(x, size):
-    """Lower vertex (int32) and position in the cell (0..1) of x in 0..1 on `size` vertices; a NaN stays in the grid."""
+    """Lower vertex (int32) and position in the cell (0..1) of x in 0..1 on `size` vertices; NaN maps into the grid."""
     place = x * (size - 1)
     low = tl.minimum(tl.maximum(place.to(tl.int32), 0), size - 2)
     return low, place - low.to(tl.float32)

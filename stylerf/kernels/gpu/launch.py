@@ -1,6 +1,6 @@
-"""Kernel launches: grids, blocks, and what is not launched by a part of a field itself (fields/gpu/parts.py).
+"""Kernel launches: grids, block sizes, and everything not launched by a field's parts (fields/gpu/parts.py).
 
-Nothing here waits for the device, unless it says so.
+Nothing here synchronizes with the device, unless noted.
 """
 
 from typing import Any
@@ -23,7 +23,7 @@ PROGRAMS_PER_PROCESSOR = 8  # of kernels that traverse a list whose length only 
 
 
 def width_of(rank: int) -> int:
-    """Return the columns of a tile of rows; tl.dot needs at least sixteen."""
+    """Return the number of columns in a tile of rows; tl.dot needs at least sixteen."""
     return max(16, triton.next_power_of_2(rank))
 
 
@@ -36,13 +36,13 @@ def persistent_grid(device: torch.device, most: int, block: int) -> tuple[int]:
 
 
 def over_samples(kernel: Any, samples: GpuSamples, *arguments: object, **constants: object) -> None:
-    """Launch a kernel over the packed samples, whose number only the device knows."""
+    """Launch a kernel over packed samples, whose number only the device knows."""
     grid = persistent_grid(samples.x.device, samples.capacity, SAMPLES)
     kernel[grid](*arguments, BLOCK=SAMPLES, num_stages=STAGES, **constants)
 
 
 def over(kernel: Any, count: int, block: int, *arguments: object, **constants: object) -> None:
-    """Launch a kernel on `count` items, if there are any, `block` to a program."""
+    """Launch a kernel on `count` items, if there are any, with `block` per program."""
     if count:
         kernel[(triton.cdiv(count, block),)](*arguments, BLOCK=block, **constants)
 
@@ -53,7 +53,7 @@ def over(kernel: Any, count: int, block: int, *arguments: object, **constants: o
 def march_density(inputs: GpuMarchInputs, density, rays: GpuRays, capacity: int | None) -> GpuSamples:
     """March rays through a GpuDensity.
 
-    capacity: most samples there is memory for. With None the number is read back, which waits for the device.
+    capacity: maximum number of samples. If None, their number is read back, which synchronizes.
     """
     n, device = len(rays.origins), rays.origins.device
     counts = torch.empty(n, dtype=torch.int32, device=device)
@@ -97,7 +97,7 @@ def _march_rays(
 
 
 def rows(table: Tensor, layout: Tensor, levels: int, points: Tensor) -> Tensor:
-    """[n, 4 levels]: a hash grid's levels side by side at points [n, 3] in 0..1."""
+    """Return [n, 4 levels]: a hash grid's levels, concatenated, at points [n, 3] in 0..1."""
     n = len(points)
     out, constants = torch.empty((n, 4 * levels), device=points.device), {"LEVELS": levels, "num_stages": STAGES}
     over(hash_color.rows_kernel, n, SAMPLES, table, layout, points, out, n, **constants)
@@ -116,7 +116,7 @@ def zero_outside(marked: Tensor, cells: int, samples: GpuSamples, values: Tensor
 
 
 def mark_cells(samples: GpuSamples, cells: int, min_weight: float, marked: Tensor) -> None:
-    """Set `marked` (uint8 [cells^3]) to 1 where a sample weighs `min_weight` or more; not for the background."""
+    """Set `marked` (uint8 [cells^3]) to 1 where a sample's weight is at least `min_weight`; not for the background."""
     s = samples
     over_samples(regions.mark_kernel, s, s.x, s.weights, s.deltas, s.total, float(min_weight), cells, marked)
 
@@ -142,7 +142,7 @@ def composite(samples: GpuSamples, colors: Tensor) -> Tensor:
 
 
 def surface_distance(samples: GpuSamples) -> Tensor:
-    """Return [rays]: distance of the visible surface, scene units, 0 where there is none."""
+    """Return the distance of the visible surface [rays], scene units, 0 where there is none."""
     n, s = len(samples.starts), samples
     out = torch.empty(n, device=s.t.device)
     over(compositing.surface_distance_kernel, n, RAYS, s.weights, s.t, s.starts, s.ends, out, n, num_warps=1)
@@ -163,7 +163,7 @@ def composite_backward(
 
 
 def distortion_backward(samples: GpuSamples, strength: float, middle: float, sigma_gradients: Tensor) -> None:
-    """Add dL/d(sigma) of the rays' distortion, times `strength`, to sigma_gradients [capacity]."""
+    """Add dL/d(sigma) of the rays' distortion loss, times `strength`, to sigma_gradients [capacity]."""
     s, n = samples, len(samples.starts)
     arguments = s.weights, s.deltas, s.t, s.starts, s.ends, float(strength), float(middle)
     over(compositing.distortion_backward_kernel, n, RAYS, *arguments, sigma_gradients, n, num_warps=1)
@@ -207,7 +207,7 @@ def adam(state: GpuAdamState, rates: AdamRates, begin: int, end: int) -> None:
 
 
 def _golden(draws: int) -> int:
-    """By how much a sequence of even draws has advanced after some, modulo 2^32, as a signed integer."""
+    """Return the advance of the low-discrepancy sequence after `draws` draws, modulo 2^32, as a signed integer."""
     return (draws * int(pixel_rays.GOLDEN.value) + 2**31) % 2**32 - 2**31
 
 
@@ -254,9 +254,9 @@ def displacement_backward(
 
 
 def displaced_cells(distances: Tensor, cells: int, reach: int, displacement: Tensor, vertices: int) -> Tensor:
-    """[cells, cells, cells] bool: cells of x with x + D(x) in a cell of distance 0; displacement flat [vertices^3 * 3].
+    """Return [cells, cells, cells] bool: cells with an x whose x + D(x) is in a cell at distance 0.
 
-    reach: cells that D moves anything by at most, and one more.
+    displacement: D, flat [vertices^3 * 3]. reach: upper bound of D in cells, plus one.
     """
     occupied = torch.empty(cells**3, dtype=torch.uint8, device=distances.device)
     arguments = distances, cells, reach, displacement, vertices, occupied

@@ -1,8 +1,8 @@
-"""Ray marching through warped space and over empty cells to packed samples with density and weights.
+"""Ray marching through warped space with empty-space skipping, to packed samples with density and weights.
 
-One lane per ray, BLOCK rays per program, two launches of one kernel: the first counts samples, the second, after a
+One lane per ray, BLOCK rays per program, two launches of one kernel: the first counts samples, and the second, after a
 cumulative sum of the counts, writes them. Rays whose samples would not fit get none. The capacity is fixed before the
-launch, so that the number of samples need not be read back.
+launch, so the number of samples need not be read back.
 """
 
 import triton
@@ -25,7 +25,7 @@ def clamped(x):
 
 @triton.jit
 def warp_at(KIND: tl.constexpr, space, px, py, pz, dx, dy, dz):
-    """(x, y, z in the cube, speed along (dx, dy, dz), density jacobian); see the CPU's warp_at.
+    """(x, y, z in the cube, speed along (dx, dy, dz), density Jacobian); see warp_at on the CPU.
 
     KIND: 0 box, 1 contraction, 2 frustum. space: its seven parameters.
     """
@@ -77,7 +77,7 @@ def _clip_axis(o, d, low, scale, t0, t1):
 
 @triton.jit
 def _clip_side(p, v, t0, t1):
-    """Keep a ray above a plane. p: height of its origin above the plane; v: change of that height along the ray."""
+    """Clip a ray to above a plane. p: height of its origin above the plane; v: change of that height along the ray."""
     falling, rising = v < -SMALLEST, v >= SMALLEST
     # Lanes cannot branch: the others divide by 1, and the results are not used.
     crossing = -p / tl.where(falling | rising, v, 1.0)
@@ -88,7 +88,7 @@ def _clip_side(p, v, t0, t1):
 
 @triton.jit
 def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
-    """Distances between which a ray is marched; empty if the first is not less than the second."""
+    """Range of distances to march; empty if the first is not less than the second."""
     t0, t1 = near, far + 0.0 * near
     if KIND == 0:
         t0, t1 = _clip_axis(ox, dx, tl.load(space), tl.load(space + 3), t0, t1)
@@ -106,9 +106,9 @@ def ray_span(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, near, far):
 
 @triton.jit
 def time_of(KIND: tl.constexpr, steps, step, speed, pz, dz):
-    """Change of the distance along a ray over so many steps; in a frustum, whose speed falls with 1/z^2, exactly.
+    """Change of distance along a ray over `steps` steps; exact in a frustum, where the speed falls with 1/z^2.
 
-    BEYOND where the cube ends before.
+    BEYOND if the cube ends earlier.
     """
     time = steps * step / speed
     if KIND == 2:
@@ -119,9 +119,9 @@ def time_of(KIND: tl.constexpr, steps, step, speed, pz, dz):
 
 @triton.jit
 def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distance, cells, step, qx, qy, qz, mask):
-    """Steps (int32) to skip where the nearest occupied cell is `distance` cells away; see the CPU's march_partition.
+    """Steps (int32) to skip if the nearest occupied cell is `distance` cells away; see march_partition on the CPU.
 
-    Lanes that `mask` leaves out, or that stand beside an occupied cell, take one.
+    Lanes excluded by `mask` or next to an occupied cell take one step.
     """
     far = mask & (distance > 1)
     reach = (distance.to(tl.float32) - 1.0) / cells
@@ -142,7 +142,7 @@ def empty_steps(KIND: tl.constexpr, space, ox, oy, oz, dx, dy, dz, t, dt, distan
 
 @triton.jit
 def cell_number(x, y, z, cells):
-    """Row-major index of the occupancy cell of a point of the cube."""
+    """Row-major index of the occupancy cell that contains a cube point."""
     i = tl.minimum((x * cells).to(tl.int32), cells - 1)
     j = tl.minimum((y * cells).to(tl.int32), cells - 1)
     k = tl.minimum((z * cells).to(tl.int32), cells - 1)
@@ -176,7 +176,7 @@ def _keep(t_out, deltas, points, sigma, weights, ray_of, at, t, delta, x, y, z, 
 
 @triton.jit
 def _fitting(counts, last, capacity, r, valid):
-    """(begin, samples) of the rays, given their counts and the counts' running sums; none for rays that do not fit."""
+    """(begin, samples) of the rays, from their counts and cumulative counts; no samples for rays that do not fit."""
     wanted = tl.load(counts + r, mask=valid, other=0)
     begin = tl.load(last + r, mask=valid, other=0).to(tl.int64) - wanted
     fits = begin + wanted <= capacity
@@ -185,7 +185,7 @@ def _fitting(counts, last, capacity, r, valid):
 
 @triton.jit
 def _fill_up(t_out, deltas, points, sigma, weights, ray_of, begin, found, most, r):
-    """Write zeros where a ray has fewer samples than were counted: the launches may differ by rounding."""
+    """Write zeros where a ray has fewer samples than counted, since the launches may differ by rounding."""
     zero = 0.0 * found.to(tl.float32)
     while tl.max((found < most).to(tl.int32), axis=0) > 0:
         lacks = found < most
@@ -209,8 +209,8 @@ def march_kernel(
 ):  # fmt: skip
     """FILL false: counts[r] = samples of ray r. true: with last[r] the sum of counts up to r, write the samples.
 
-    Then ray r's are starts[r]:ends[r] of t_out, deltas, points, sigma, weights, ray_of; largest[r] is its largest
-    weight; total[0], zero before, is raised to the end of the last ray that fits. near: one number for all rays.
+    Ray r's samples are then starts[r]:ends[r] of t_out, deltas, points, sigma, weights, ray_of; largest[r] is its
+    largest weight; total[0], initially zero, becomes the end of the last ray that fits. near: one number for all rays.
     table to layout, DENSITY, RANK, WIDTH: the density, see tables.raw_density.
     """
     # Both launches run this loop: enter, skip or sample until all lanes are done, then the background's sample.

@@ -1,4 +1,4 @@
-"""Random rays and their colors, drawn on the device from 8-bit photos in its memory."""
+"""Draw random rays and their colors from 8-bit photos on the device."""
 
 import triton
 import triton.language as tl
@@ -16,7 +16,7 @@ def _below(bits, bound):
 
 @triton.jit
 def _evenly(start, shift, number):
-    """32 bits of draw `number`, spread evenly as by training/common/even_draws.py; shift: of the draws before."""
+    """32 bits of low-discrepancy draw `number`, as in training/common/even_draws.py; shift: of the earlier draws."""
     return start.to(tl.int64) + shift + number.to(tl.int64) * GOLDEN
 
 
@@ -29,7 +29,7 @@ def _unit(bits):
 
 @triton.jit
 def view_of(index, view_ends, views, STEPS: tl.constexpr):
-    """The view (int32) that holds pixel `index` numbered across all views: the first whose end is beyond it."""
+    """The view (int32) that contains pixel `index`, counted across all views: the first whose end is beyond it."""
     low = (index * 0).to(tl.int32)
     high = low + views - 1
     for _ in tl.static_range(STEPS):
@@ -45,7 +45,7 @@ def view_of(index, view_ends, views, STEPS: tl.constexpr):
 def ray_of_pixel(
     index, view, view_ends, view_sizes, widths, intrinsics, poses, bytes_, codes, CHANNELS: tl.constexpr, mask
 ):  # fmt: skip
-    """(origin, direction, rgba) of pixel `index`, numbered across all views; codes [views, 256]: of their bytes."""
+    """(origin, direction, rgba) of pixel `index`, counted across all views; codes [views, 256]: colors of bytes."""
     v = view.to(tl.int64)
     width = tl.load(widths + v)
     pixel = index - tl.load(view_ends + v) + tl.load(view_sizes + v)
@@ -83,7 +83,7 @@ def rays_kernel(
     chosen, count, view_ends, view_sizes, views, widths, intrinsics, poses, bytes_, codes, origins, directions, wanted,
     CHANNELS: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays and straight (not premultiplied) rgba of pixels chosen [count] int64, numbered across all views."""
+    """Rays and straight (not premultiplied) rgba of pixels `chosen` [count] int64, counted across all views."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     mask = k < count
     index = tl.load(chosen + k, mask=mask, other=0)
@@ -103,11 +103,11 @@ def draw_kernel(
     widths, intrinsics, poses, bytes_, codes, level, origins, directions, wanted, jitter, background,
     CHANNELS: tl.constexpr, RANDOM_BACKGROUND: tl.constexpr, STEPS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Rays `first` .. `first` + rays of a batch, which does not depend on how it is split into parts.
+    """Rays `first` .. `first` + rays of a batch, independent of how the batch is split.
 
-    Pixels continue the draws of `sequence` after those that the shifts stand for; jitter and background are of `seed`.
-    Of the batch's rays those below lit_rays take a pixel of lit[0:lit_total], the others one of 0..total. level: gray
-    of the background where it is not random.
+    Pixels continue `sequence` after the draws represented by the shifts; `seed` is for jitter and background. The
+    batch's first lit_rays rays draw a pixel from lit[0:lit_total], the others one from 0..total. level: gray level of
+    the background if it is not random.
     """
     local = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     mask = local < rays

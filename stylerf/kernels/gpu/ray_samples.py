@@ -1,4 +1,4 @@
-"""What the launches take in place of long argument lists; as kernels/cpu/ray_samples.py, in tensors."""
+"""Dataclasses of tensors, which launches take instead of long argument lists; see kernels/cpu/ray_samples.py."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 @dataclass
 class GpuRays:
-    """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step: float32 on the device."""
+    """origins, directions (unit) [n, 3]; jitter [n] in 0..1 of a step. All float32 on the device."""
 
     origins: Tensor
     directions: Tensor
@@ -17,17 +17,17 @@ class GpuRays:
 
     @staticmethod
     def of(origins: np.ndarray, directions: np.ndarray, device: torch.device) -> "GpuRays":
-        """Copy rays to a device, to be marched from the middle of their first step."""
+        """Copy rays to a device; marching starts in the middle of their first step."""
         here, ways = (torch.from_numpy(np.ascontiguousarray(a, np.float32)).to(device) for a in (origins, directions))
         return GpuRays(here, ways, torch.full((len(origins),), 0.5, device=device))
 
 
 @dataclass
 class GpuSamples:
-    """Samples along rays, packed without padding; as Samples in kernels/cpu/ray_samples.py, and beyond that:
+    """Samples along rays, packed without padding; like Samples in kernels/cpu/ray_samples.py, plus:
 
     Attributes:
-        counts: [rays], samples that each ray wanted; its starts:ends is empty if they do not fit.
+        counts: [rays], samples that each ray needed; its starts:ends is empty if they do not fit.
         largest: [rays], each ray's largest weight.
         total: [1] int64, number of samples.
         ray_of: [capacity], each sample's ray.
@@ -47,13 +47,13 @@ class GpuSamples:
 
     @property
     def capacity(self) -> int:
-        """Number of samples that fit."""
+        """Maximum number of samples."""
         return len(self.t)
 
 
 @dataclass
 class GpuAdamState:
-    """A table and what its optimizer keeps: values, gradients and both moments [n] float32."""
+    """A table and its optimizer state: values, gradients and both moments [n] float32."""
 
     values: Tensor
     gradients: Tensor
@@ -63,12 +63,12 @@ class GpuAdamState:
 
 @dataclass
 class GpuPhotos:
-    """8-bit photos and their cameras on the device, all views laid end to end.
+    """8-bit photos and their cameras on the device, with all views concatenated.
 
     Attributes:
         bytes: [sum of h w channels] uint8.
-        lit: [m] int32, pixels near something opaque, numbered across all views.
-        view_ends, view_sizes: [views] int64, the number after a view's last pixel, and how many it has.
+        lit: [m] int32, pixels near objects, counted across all views.
+        view_ends, view_sizes: [views] int64, the index after a view's last pixel, and its number of pixels.
         widths: [views] int64.
         intrinsics: [views, 4]; poses: [views, 3, 4]; codes: [views, 256]: as in kernels/cpu/photos.py.
     """
@@ -86,11 +86,11 @@ class GpuPhotos:
 
 @dataclass(frozen=True)
 class RayDraw:
-    """Which rays of a random batch are drawn: from `first` on.
+    """Which rays of a random batch to draw: from `first` on.
 
-    Pixels continue `sequence` after `earlier` draws, of lit ones lit_earlier; jitter and background are of `seed`.
-    The batch's first lit_rays take one of the first lit_total lit pixels, the others one of the first `total` pixels.
-    level: gray of the background; None: random colors.
+    Pixels continue `sequence` after `earlier` draws, lit ones after lit_earlier; `seed` is for jitter and background.
+    The batch's first lit_rays draw from the first lit_total lit pixels, the others from the first `total` pixels.
+    level: gray level of the background; None: random colors.
     """
 
     seed: int
@@ -106,7 +106,7 @@ class RayDraw:
 
 @dataclass(frozen=True)
 class GpuMarchInputs:
-    """What a march reads beside rays and density; space: numbers [7] on the device; step: cube units."""
+    """Inputs of ray marching other than rays and density; space: parameters [7] on the device; step: cube units."""
 
     code: int
     space: Tensor

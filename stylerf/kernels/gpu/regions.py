@@ -1,7 +1,7 @@
-"""Regions on packed samples (kernels/cpu/regions.py): the part of each ray inside, and their own colors; marked: uint8
-[cells^3].
+"""Regions on packed samples (kernels/cpu/regions.py): the part of each ray inside, and their own colors.
 
-box: float32 [4], the lowest corner of the cells' box and one over its side: where in its own grid a sample lies.
+marked: uint8 [cells^3]. box: float32 [4], the lower corner of the cells' bounding cube and the inverse of its side,
+which map a sample to the region's own grid.
 """
 
 import triton
@@ -19,13 +19,13 @@ MIN_ODDS = tl.constexpr(float(regions.MIN_ODDS))
 
 @triton.jit
 def in_marked(marked, cells, x, y, z, mask):
-    """Which of the points in the cube, among those of `mask`, lie in marked cells."""
+    """Which of the cube points in `mask` are in marked cells."""
     return mask & (tl.load(marked + cell_number(x, y, z, cells), mask=mask, other=0) != 0)
 
 
 @triton.jit(do_not_specialize=["cells"])
 def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
-    """values[k] = 0 for samples whose cell is not marked; total: pointer to the number of samples."""
+    """values[k] = 0 for samples outside marked cells; total: pointer to the number of samples."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
@@ -37,7 +37,7 @@ def keep_kernel(marked, cells, points, total, values, BLOCK: tl.constexpr):
 
 @triton.jit(do_not_specialize=["cells"])
 def mark_kernel(points, weights, deltas, total, min_weight, cells, marked, BLOCK: tl.constexpr):
-    """marked[cell] = 1 for the cells of samples that weigh at least `min_weight`; see the CPU's mark_cells."""
+    """marked[cell] = 1 for the cells of samples with a weight of at least `min_weight`; see mark_cells on the CPU."""
     count = tl.load(total)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
         k = block * BLOCK + tl.arange(0, BLOCK)
@@ -77,7 +77,7 @@ def ends_kernel(marked, cells, points, t, weights, starts, ends, out, rays, BLOC
 
 @triton.jit
 def into_box(box, x, y, z):
-    """Positions in the box, 0..1, of points in the cube."""
+    """Positions in the box, 0..1, of cube points."""
     side = tl.load(box + 3)
     x, y, z = (x - tl.load(box)) * side, (y - tl.load(box + 1)) * side, (z - tl.load(box + 2)) * side
     return clamped(x), clamped(y), clamped(z)
@@ -87,7 +87,7 @@ def into_box(box, x, y, z):
 def color_kernel(
     table, layout, marked, cells, box, points, total, out, LEVELS: tl.constexpr, BLOCK: tl.constexpr
 ):  # fmt: skip
-    """out [n, 3] = sigmoid(logit(out) + f) of samples in marked cells that have a color (out[k, 0] >= 0)."""
+    """out [n, 3] = sigmoid(logit(out) + f) for colored samples (out[k, 0] >= 0) in marked cells."""
     count = tl.load(total)
     lane = tl.arange(0, 4)
     for block in range(tl.program_id(0).to(tl.int64), tl.cdiv(count, BLOCK), tl.num_programs(0)):
@@ -114,9 +114,9 @@ def color_backward_kernel(
     layout, marked, cells, box, points, colors, color_gradients, total, to,
     LEVELS: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """Add dL/d(table) of samples in marked cells that have a color.
+    """Add dL/d(table) of colored samples in marked cells.
 
-    A sigmoid's slope follows from its value alone.
+    A sigmoid's derivative follows from its value alone.
     """
     count = tl.load(total)
     lane = tl.arange(0, 4)

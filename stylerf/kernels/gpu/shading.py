@@ -1,4 +1,4 @@
-"""What the colors' kernels share: which samples get a color, which learn, and the harmonics of their directions."""
+"""Shared by the color kernels: which samples get a color, which get gradients, and the directions' harmonics."""
 
 import triton
 import triton.language as tl
@@ -8,7 +8,7 @@ from stylerf.kernels.gpu.indexing import offset, vector
 
 @triton.jit
 def to_color(k, count, ray_of, weights, largest, weight_threshold):
-    """(inside, valid, ray): which samples exist, which reach the threshold on their weight, their rays."""
+    """(inside, valid, ray): which samples exist, which reach the weight threshold, their rays."""
     inside = k < count
     ray = tl.load(ray_of + k, mask=inside, other=0)
     w = tl.load(weights + k, mask=inside, other=0.0)
@@ -18,7 +18,7 @@ def to_color(k, count, ray_of, weights, largest, weight_threshold):
 
 @triton.jit
 def to_learn(k, inside, colors, color_gradients):
-    """(valid, g0, g1, g2): which samples have a color, and dL/d(logits) of its channels, zero where there is none."""
+    """(valid, g0, g1, g2): which samples have a color, and dL/d(logits) of its channels, zero without a color."""
     valid = tl.load(colors + offset(k, 3, 0), mask=inside, other=-1.0) >= 0.0
     c0, c1, c2 = vector(colors, k, valid)
     g0, g1, g2 = vector(color_gradients, k, valid)
@@ -32,7 +32,7 @@ def sigmoid(z):
 
 @triton.jit
 def bands_of(dx, dy, dz, output, BANDS: tl.constexpr):
-    """[samples, outputs]: the harmonic of output's band (output % BANDS) in each direction;
+    """[samples, outputs]: the spherical harmonic of each output's band (output % BANDS) in each direction; see
     geometry/spherical_harmonics.py."""
     band = (output % BANDS)[None, :]
     x, y, z = dx[:, None], dy[:, None], dz[:, None]
@@ -59,7 +59,7 @@ def sum_of_channel(values, output, BANDS: tl.constexpr, j: tl.constexpr):
 
 @triton.jit
 def of_channel(output, g0, g1, g2, BANDS: tl.constexpr):
-    """[samples, columns]: each column's channel's gradient; zero beyond 3 BANDS columns."""
+    """[samples, columns]: the gradient of each column's channel; zero beyond 3 BANDS columns."""
     channel = (output // BANDS)[None, :]
     own = tl.where(channel == 0, g0[:, None], tl.where(channel == 1, g1[:, None], g2[:, None]))
     return tl.where(output[None, :] < 3 * BANDS, own, 0.0)

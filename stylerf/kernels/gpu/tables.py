@@ -1,11 +1,10 @@
 """Densities and features of any kind from one flat table, forward and backward; the kind is a compile-time constant.
 
-layout, RANK: not read and the rank (vm); the levels' and their floats a place (hash); links and floats a vertex
-(voxel). s0, s1, s2: vertices per axis of vm's and voxels' grids. WIDTH: columns of a tile, a power of two.
+layout, RANK: unused and the rank (vm); the levels' layout and the total floats per point (hash); links and floats per
+vertex (voxel). s0, s1, s2: vertices per axis of vm and voxel grids. WIDTH: columns of a tile, a power of two.
 
-A place's features are PIECES tiles of RANK columns: three of vm, one for each plane, and one of a hash or voxel grid.
-Kernels go over the packed list of samples with a stride of all programs, BLOCK at a time, so that the number of samples
-need not be known where they are launched.
+A point's features are PIECES tiles of RANK columns: three for vm, one per plane, and one for a hash or voxel grid.
+Kernels process the packed samples in a grid-stride loop, BLOCK at a time, so their number need not be known at launch.
 """
 
 import triton
@@ -27,7 +26,7 @@ def raw_density(
     table, layout, shift, x, y, z, s0, s1, s2, valid,
     DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr,
 ):  # fmt: skip
-    """exp(shift + features) of points; shift: pointer. The table may be in half precision."""
+    """exp(shift + features) at points; shift: pointer. The table may be in half precision."""
     columns = tl.arange(0, WIDTH)
     mask = valid[:, None] & (columns[None, :] < RANK)
     # x * 0.0, here and in other kernels: zeros of the shape of x.
@@ -51,7 +50,7 @@ def density_kernel(
     table, layout, shift, points, sigma, count, s0, s1, s2,
     DENSITY: tl.constexpr, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr,
 ):  # fmt: skip
-    """sigma[k] of points [count, 3]."""
+    """sigma[k] at points [count, 3]."""
     k = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     valid = k < count
     x, y, z = vector(points, k, valid)
@@ -93,7 +92,7 @@ def density_backward_kernel(
 def piece(
     m: tl.constexpr, table, layout, x, y, z, s0, s1, s2, columns, valid, ENCODER: tl.constexpr, RANK: tl.constexpr
 ):
-    """[samples, WIDTH]: piece m of the features of points; zero beyond RANK columns and where not valid."""
+    """[samples, WIDTH]: piece m of the features at points; zero beyond RANK columns and where not valid."""
     mask = valid[:, None] & (columns[None, :] < RANK)
     if ENCODER == VM:
         first, second, line, fu, fv, fw = place(m, x, y, z, s0, s1, s2)

@@ -64,9 +64,9 @@ def scatter(to, first, second, line, fu, fv, fw, plane, along, gradient, columns
 def smoothness_kernel(
     table, to, strength, rows, columns, begin, RANK: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighboring texels of one plane to `to`.
+    """Add strength * d/dt of half the sum of squared differences of one plane's neighboring texels to `to`.
 
-    begin: the plane's first row of the table; one texel to a row of the tile.
+    begin: the plane's first row in the table; one texel per row of the tile.
     """
     n = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     rank = tl.arange(0, WIDTH)

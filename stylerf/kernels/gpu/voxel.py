@@ -1,6 +1,6 @@
 """Sparse voxel grids (kernels/cpu/voxel.py).
 
-links: int32 as fields/voxel.py's Grid makes it: six numbers of the grid, then which block of the table is each block's.
+links: int32, from Grid in fields/voxel.py: six numbers that describe the grid, then each block's index in the table.
 s0, s1, s2: vertices per axis.
 """
 
@@ -12,7 +12,7 @@ from stylerf.kernels.gpu.indexing import SIZES, cell, offset, trilinear_corner
 
 @triton.jit
 def row_of(links, s1, s2, i, j, k, mask):
-    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: of the block of all that is not allocated."""
+    """Row (int64) of the vertex i, j, k (int32) in the table; 0..63: in the block shared by all unallocated ones."""
     block = ((i >> 2).to(tl.int64) * ((s1 + 3) // 4) + (j >> 2)) * ((s2 + 3) // 4) + (k >> 2)
     number = tl.load(links + 6 + block, mask=mask, other=0).to(tl.int64)
     return number * 64 + (i & 3) * 16 + (j & 3) * 4 + (k & 3)
@@ -35,7 +35,7 @@ def corners(links, x, y, z, s0, s1, s2, valid):
 
 @triton.jit
 def row_tile(table, links, x, y, z, s0, s1, s2, columns, ROW: tl.constexpr, valid, mask):
-    """[samples, WIDTH]: rows of ROW floats, interpolated, from a table of floats or halves. mask: valid by columns."""
+    """[samples, WIDTH]: interpolated rows of ROW floats, from a float32 or float16 table. mask: valid by columns."""
     i, fx = cell(x, s0)
     j, fy = cell(y, s1)
     k, fz = cell(z, s2)
@@ -65,9 +65,9 @@ def row_tile_scatter(to, links, x, y, z, s0, s1, s2, gradient, columns, ROW: tl.
 def smoothness_kernel(
     table, links, places, to, strength, rows, s0, s1, s2, ROW: tl.constexpr, WIDTH: tl.constexpr, BLOCK: tl.constexpr
 ):
-    """Add strength * d/dt of half the summed squared differences of neighboring allocated vertices to `to`.
+    """Add strength * d/dt of half the sum of squared differences of neighboring allocated vertices to `to`.
 
-    rows: of the table; places: int32 [blocks of the table, 3], each block's place in the grid of blocks.
+    rows: of the table; places: int32 [blocks of the table, 3], each block's position in the grid of blocks.
     """
     row = tl.program_id(0).to(tl.int64) * BLOCK + tl.arange(0, BLOCK)
     columns = tl.arange(0, WIDTH)

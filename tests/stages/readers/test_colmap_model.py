@@ -373,7 +373,7 @@ REFUSED = {
     "unknown-model": (lens("HOLOGRAM", 4), "camera 1 has unknown model HOLOGRAM"),
     "lens-EQUIRECTANGULAR": (
         lens("EQUIRECTANGULAR", 2),
-        "000.png: its camera model EQUIRECTANGULAR is not known; undistort the images first",
+        "000.png: its camera model EQUIRECTANGULAR is unknown; undistort the images first",
     ),
 }
 

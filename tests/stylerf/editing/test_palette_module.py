@@ -136,7 +136,7 @@ def test_goes_through_a_file_bit_by_bit_and_refuses_another_length():
     data = json.loads(json.dumps(made.describe()))
     again = PaletteModule.restore(data, made.arrays())
     assert np.array_equal(again.colors(x, directions), made.colors(x, directions))
-    with pytest.raises(InvalidValue, match="finite ones"):
+    with pytest.raises(InvalidValue, match="finite values"):
         PaletteModule.restore(data, made.arrays() | {"networks": made.values[:-1]})
     with pytest.raises(InvalidValue, match="one of them active"):
         PaletteModule.restore(data | {"active": [False] * 4}, made.arrays())

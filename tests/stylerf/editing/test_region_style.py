@@ -78,7 +78,7 @@ def test_crops_lie_within_the_style_image():
     painting = picture(20, 30, 5)
     assert torch.equal(crop_of(painting, 10, 5, 15), painting[:, 5:20, 10:25])
     for wrong in ((16, 0, 15), (0, 6, 15), (-1, 0, 5), (0, 0, 21)):
-        with pytest.raises(InvalidValue, match="does not fit into a style image of 30x20"):
+        with pytest.raises(InvalidValue, match="does not fit in a style image of 30x20"):
             crop_of(painting, *wrong)
     with pytest.raises(InvalidValue, match="too small"):
         RegionStyle(small_trunk(), painting, 6)

@@ -48,7 +48,7 @@ def test_what_others_cannot_reach_they_cannot_write(kept):
 
 def test_a_folder_on_the_way_that_others_may_write_to(kept):
     kept.parent.chmod(0o777)
-    assert not_ours(kept) == f"lies in {kept.parent}, which can be written by others"
+    assert not_ours(kept) == f"is in {kept.parent}, which can be written by others"
 
 
 def test_a_group_may_not_write_unless_it_is_the_users_own(kept, monkeypatch):

@@ -60,7 +60,7 @@ def test_shares_of_every_sample_add_up_to_one():
         "weight NaN": (lambda data: data["layers"][0].update(weight=float("nan")), "weight"),
         "sum below 1": (lambda data: data["layers"][0].update(weight=0.1), "add up to 1"),
         "no layers": (lambda data: data.update(layers=[]), "add up to 1"),
-        "many": (lambda data: data.update(layers=data["layers"] * MOST_LAYERS), "the most"),
+        "many": (lambda data: data.update(layers=data["layers"] * MOST_LAYERS), "at most"),
         "no list": (lambda data: data.update(layers={}), "layers"),
         "cells": (lambda data: data["layers"][2].update(cells=CELLS + 1), "within"),
         "no map": (lambda data: data["layers"][0].pop("color_map"), "color_map"),
@@ -79,7 +79,7 @@ def test_a_damaged_blend_is_refused(change, expected):
 
 def test_a_region_under_the_whole_scene_is_refused():
     made = fields()
-    with pytest.raises(InvalidValue, match="a region lies under"):
+    with pytest.raises(InvalidValue, match="limited to a region comes before"):
         BlendedColor([layer(made["plain"], 1.0, corner()), layer(made["source"], 1.0)])
 
 
@@ -89,7 +89,7 @@ def test_blends_nested_too_deeply_are_refused():
     for _ in range(MOST_BLENDS):
         field = over(made["source"], layer(field, 1.0))
     np.testing.assert_array_equal(picture(stored(field)), picture(field))
-    with pytest.raises(InvalidValue, match="9 blends within one another, and 8 are the most"):
+    with pytest.raises(InvalidValue, match="9 nested blends; at most 8"):
         over(made["source"], layer(field, 1.0))
     data = field.describe()
     data["color"] = {"kind": "blend", "layers": [data["color"]["layers"][0] | {"color": data["color"]}]}
@@ -101,5 +101,5 @@ def test_a_blend_refuses_to_learn():
     made = fields()
     blend = over(made["source"], layer(made["source"], 1.0)).color
     assert blend.groups() == [] and len(blend.values) == 0
-    with pytest.raises(InvalidValue, match="do not learn"):
+    with pytest.raises(InvalidValue, match="cannot be trained"):
         blend.backward(None, None, None, None, np.zeros((1, 0), np.float32))

@@ -118,7 +118,7 @@ def test_weights_grids_and_layers_that_cannot_be_mixed_are_refused():
     for why, styles in {
         "add up to 1.2": [Style("a", made["plain"], 0.6), Style("b", made["mapped"], 0.6)],
         "5 and 7 vertices": [Style("a", made["bent"], 0.5), Style("b", other, 0.5)],
-        "the most": [Style("a", made["plain"], 0.0)] * MOST_LAYERS,
+        "at most": [Style("a", made["plain"], 0.0)] * MOST_LAYERS,
     }.items():
         with pytest.raises(InvalidValue, match=why):
             blended(made["source"], styles)

@@ -193,17 +193,17 @@ def test_more_edits_than_can_be_read_back_are_not_made():
     for _ in range(MOST_EDITS):
         color = color.edited(Recoloring(view_scale=0.5))
     assert len(PaletteColor.restore(color.describe(), color.values).edits) == MOST_EDITS
-    with pytest.raises(InvalidValue, match="101 edits upon one another, and 100 are the most"):
+    with pytest.raises(InvalidValue, match="101 successive edits; at most 100"):
         color.edited(Recoloring())
     data = color.describe()
     data["edits"] *= 2
-    with pytest.raises(InvalidValue, match="200 edits"):
+    with pytest.raises(InvalidValue, match="200 successive edits"):
         PaletteColor.restore(data, color.values)
 
 
 def test_values_and_edits_that_do_not_fit_are_refused():
     color = made()
-    with pytest.raises(InvalidValue, match="values where"):
+    with pytest.raises(InvalidValue, match="float32 values"):
         PaletteColor(color.features, 5, color.values)
     with pytest.raises(InvalidValue, match="there are 0 to 3"):
         color.edited(Recoloring(PaletteEdits({4: (0, 0, 0)})))

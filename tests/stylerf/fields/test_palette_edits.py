@@ -188,11 +188,11 @@ def test_a_filter_of_several_places_counts_the_nearest_and_has_a_bounded_number_
     np.testing.assert_array_equal(found(x), np.max(every, axis=0))
     data = found.describe()
     data["centers"] *= 2
-    with pytest.raises(InvalidValue, match="around 512 places, and 256 are the most"):
+    with pytest.raises(InvalidValue, match="around 512 points; at most 256"):
         SpaceFilter.restore(data)
 
 
 @pytest.mark.parametrize(("centers", "reach"), [((), 1.0), (((0, 0, 0),), 0.0), (((0, np.nan, 0),), 1.0)])
 def test_filters_without_a_place_or_a_reach_are_refused(centers, reach):
-    with pytest.raises(InvalidValue, match="needs places and a reach"):
+    with pytest.raises(InvalidValue, match="needs points and a reach"):
         SpaceFilter(SPACE, centers, reach)

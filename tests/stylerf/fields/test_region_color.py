@@ -112,14 +112,14 @@ def test_the_box_holds_the_cells_and_no_more():
 def test_what_could_not_be_read_back_is_not_put_together():
     """A region over a blend, and more regions over one another than are restored."""
     source = field_of(SPACES["box"], 3)
-    with pytest.raises(InvalidValue, match="over a blend"):
+    with pytest.raises(InvalidValue, match="a region of a blend"):
         RegionColor(over(source, layer(source, 1.0)).color, hash_color(1), marked_cells())
     own, made = hash_color(1), vm_color(4)
     for _ in range(MOST_REGIONS):
         made = RegionColor(made, own, marked_cells())
     field = field_of(SPACES["box"], 3, color=made)
     assert RadianceField.restore(field.describe(), field.arrays()).color.depth == MOST_REGIONS
-    with pytest.raises(InvalidValue, match="101 regions have colors over one another"):
+    with pytest.raises(InvalidValue, match="101 stacked regions"):
         RegionColor(made, own, marked_cells())
 
 

@@ -69,7 +69,7 @@ def test_distances_of_the_chessboard_are_believed_and_no_longer_ones():
     for cell in np.flatnonzero(nearest):
         lying = occupancy.distances.copy()
         lying[cell] = nearest[cell] + 1
-        with pytest.raises(InvalidValue, match="no distances"):
+        with pytest.raises(InvalidValue, match="does not hold distances"):
             OccupancyGrid.restore(6, arrays | {"occupancy.distances": lying})
     ending_at_two = np.minimum(occupancy.distances, 2)  # as those of a GPU end at 32
     OccupancyGrid.restore(6, arrays | {"occupancy.distances": ending_at_two})

@@ -49,7 +49,7 @@ def test_look_at_is_a_rotation_with_up_at_the_top():
         np.linalg.norm(FOCUS - [3, 1, 2])
     )
     assert pixels[1, 1] < 15 and pixels[1, 0] == pytest.approx(20)
-    with pytest.raises(InvalidValue, match="no length"):
+    with pytest.raises(InvalidValue, match="zero length"):
         look_at(FOCUS + UP, FOCUS, UP)
 
 

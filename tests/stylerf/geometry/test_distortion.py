@@ -127,7 +127,7 @@ def test_the_map_of_a_lens_takes_little_more_memory_than_itself():
 
 
 def test_faults_are_reported():
-    with pytest.raises(InvalidValue, match="EQUIRECTANGULAR is not known"):
+    with pytest.raises(InvalidValue, match="EQUIRECTANGULAR is unknown"):
         distortion.from_colmap("EQUIRECTANGULAR", [120.0, 90])
     with pytest.raises(InvalidValue, match="DIVISION takes 5 parameters, found 4"):
         distortion.from_colmap("DIVISION", [90.0, 90, 61, 45])

@@ -21,7 +21,7 @@ def test_it_is_a_picture_of_its_size_from_its_seed():
     assert 0 <= PAINTED.min() and PAINTED.max() <= 1
     assert paint(64, 3).tobytes() == paint(64, 3).tobytes()
     assert np.abs(paint(64, 3) - paint(64, 4)).mean() > 0.02
-    with pytest.raises(InvalidValue, match="32 at least"):
+    with pytest.raises(InvalidValue, match="at least 32"):
         paint(31)
 
 

@@ -99,7 +99,7 @@ def test_taps_are_named_in_several_ways():
 def test_bad_arguments_are_refused():
     with pytest.raises(InvalidValue, match="end before conv4_1"):
         FeatureExtractor(small_state(), "conv4_1")
-    with pytest.raises(InvalidValue, match="a feature extractor among"):
+    with pytest.raises(InvalidValue, match="unknown feature extractor"):
         FeatureExtractor(small_state(), "conv1_1", "resnet")
     trunk = FeatureExtractor(small_state(), "conv3_1")
     for shape in ((3, 16, 16), (1, 4, 16, 16), (1, 3, 7, 16)):

@@ -388,14 +388,17 @@ def test_missing_edges_are_those_of_the_photo_that_an_image_lacks():
     ramp = torch.linspace(0, 0.9, 32).expand(3, 24, 32)
     wanted = style_loss.luma_gradient(ramp)
     step = 4 * 0.9 / 31  # of luma from cell to cell, in 7 of 8 columns
-    assert float(style_loss.missing_edges(torch.zeros(3, 24, 32), wanted)) == pytest.approx(step * 7 / 8, rel=1e-3)
-    assert float(style_loss.missing_edges(ramp, wanted)) == pytest.approx(0, abs=1e-6)
+    enough = style_loss.EDGE_CONTRAST
+    plain = float(style_loss.missing_edges(torch.zeros(3, 24, 32), wanted))
+    assert plain == pytest.approx(enough * step * 7 / 8, rel=1e-3)
+    assert float(style_loss.missing_edges(enough * ramp, wanted)) == pytest.approx(0, abs=1e-6)
+    assert float(style_loss.missing_edges(0.8 * enough * ramp, wanted)) == pytest.approx(0.2 * plain, rel=1e-3)
     down = torch.linspace(0, 0.5, 24)[:, None].expand(3, 24, 32)
     assert float(style_loss.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
     turned = float(style_loss.missing_edges(ramp.flip(2), wanted))
-    assert turned == pytest.approx(2 * step * 7 / 8, rel=1e-3)
+    assert turned == pytest.approx((1 + enough) * step * 7 / 8, rel=1e-3)
     grain = 0.05 * torch.randn(3, 24, 32, generator=torch.Generator().manual_seed(0))
-    assert float(style_loss.missing_edges(grain, wanted)) > 0.9 * step * 7 / 8  # grain makes no edges
+    assert float(style_loss.missing_edges(grain, wanted)) > 0.9 * plain  # grain makes no edges
     left = torch.zeros(24, 32)
     left[:, :16] = 1
     half = torch.cat([ramp[:, :, :20], torch.zeros(3, 24, 12)], dim=2)

@@ -402,6 +402,6 @@ def test_features_are_taken_around_the_object_alone():
 @pytest.mark.parametrize(("coarse", "height"), [(0.0, 40), (0.5, 80)])
 def test_a_style_image_of_which_too_little_is_left_is_refused_before_the_refit(coarse, height):
     """Of views 18 pixels wide; the extractor needs four a side, and sees half of them at first if features are."""
-    with pytest.raises(InvalidValue, match="too elongated: of 400x"):
+    with pytest.raises(InvalidValue, match="too elongated: 400x"):
         arf({"style_image": picture(height, 400, 9)}, coarse=coarse)
     arf({"style_image": picture(2 * height + 20, 400, 9)}, coarse=coarse)

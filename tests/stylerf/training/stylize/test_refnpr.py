@@ -266,7 +266,7 @@ def test_views_without_the_part_neither_learn_nor_are_references():
         referenced({2: np.zeros((HEIGHT, WIDTH, 3), np.float32)}, front, apart=1.6)
     hidden = np.zeros((8, 8, 8), bool)
     hidden[3:5, 3:5, 3:5] = True
-    with pytest.raises(InvalidValue, match="no training view shows anything of the region"):
+    with pytest.raises(InvalidValue, match="no training view shows any part of the region"):
         referenced(region=hidden)
 
 
