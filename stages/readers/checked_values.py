@@ -47,7 +47,7 @@ def row(values: object, count: int, where: str) -> np.ndarray:
         raise BadInput(f"{where} is {printable(repr(values))[:40]}, expected {count} numbers")
     for value in values:
         if not isinstance(value, int | float) or isinstance(value, bool) or not _finite(value):
-            raise BadInput(f"{where} contains {printable(repr(value))[:40]}, expected a number")
+            raise BadInput(f"{where}: found {printable(repr(value))[:40]}, expected a number")
     return np.array(values, dtype=np.float64)
 
 

@@ -20,7 +20,7 @@ OWN_FOLDER = "view"  # in the work folder: paths, style images and scripts that 
 
 
 class Library:
-    """The contents of a work folder. Artifacts are listed anew each time, since other commands may add some."""
+    """The contents of a work folder. Artifacts are listed again each time, since other commands may add some."""
 
     def __init__(self, root: Path | str) -> None:
         """Open the folder.

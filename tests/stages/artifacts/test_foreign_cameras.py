@@ -37,12 +37,12 @@ CLIPS = 'def "x" (clips = { dictionary default = { asset[] assetPaths = [@/etc/o
     "change, said",
     [
         ({"position": [0, 0]}, "position"),
-        ({"position": [0, 0, float("nan")]}, "holds nan"),
+        ({"position": [0, 0, float("nan")]}, "found nan"),
         ({"rotation": [[1, 0, 0]] * 3}, "not a rotation"),
         ({"rotation": 3}, "not a 3x3 matrix"),
         ({"fx": -1}, "not positive"),
         ({"width": 10**9}, "has an invalid size"),
-        ({"width": 500_000, "height": 2}, "at most 32768 a side"),
+        ({"width": 500_000, "height": 2}, "at most 32768 per side"),
     ],
 )
 def test_unsound_cameras_of_3dgs_are_refused(scene, tmp_path, change, said):

@@ -249,7 +249,7 @@ SAID = {
         "6 photos were found by the end of their listed paths (first: /scan/000.png",
         6,
     ),
-    "count-in-the-head-said": (READ["count-in-the-head"], "its header declares 12 entries, 6 are there", 6),
+    "count-in-the-head-said": (READ["count-in-the-head"], "its header declares 12 entries, found 6", 6),
 }
 
 

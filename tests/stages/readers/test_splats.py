@@ -90,7 +90,7 @@ def changed(key, value):
 FAULTS = {
     "no list entry": (lambda listed: [3], "camera 0 is 3, expected an object"),
     "empty": (lambda listed: [], "lists 0 cameras"),
-    "nan": (changed("fx", float("nan")), "camera 2: fx holds nan"),
+    "nan": (changed("fx", float("nan")), "camera 2: fx: found nan"),
     "negative": (changed("fx", -3.0), "focal length -3"),
     "no rotation": (changed("rotation", [[1, 0, 0]] * 3), "im_02: "),
     "two rows": (changed("rotation", [[1, 0, 0]] * 2), "camera 2: its rotation is not a list of 3 rows"),
