@@ -293,7 +293,7 @@ def test_cameras_of_colmap_that_are_none(source, capsys):
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (lambda rows: rows[:3], "holds 3 poses but"),
+        (lambda rows: rows[:3], "has 3 poses but"),
         (lambda rows: rows[:, :16], "expected n x 17"),
         (lambda rows: np.where(np.arange(17) == 16, 0.5, rows), "depth bounds"),
         (lambda rows: np.where(np.arange(17) == 14, 0.0, rows), "focal length 0"),

@@ -170,8 +170,8 @@ def test_blends_that_cannot_be_are_refused_in_a_line(styles, capsys):
         (2, "2 times", ("painting-arf=0.5", "painting=0.5")),
         (2, "the other weights add up to 1", ("painting-arf=1", "other")),
         (2, "alone is not a blend", ("painting-arf",)),
-        (2, "none found", ("painting-arf=0.5", "missing")),
-        (2, "none found", ("painting-arf", "other:missing")),
+        (2, "found none", ("painting-arf=0.5", "missing")),
+        (2, "found none", ("painting-arf", "other:missing")),
         (2, "is not derived from another field", ("fit=0.5",)),
     ):
         assert expected in refused(capsys, code, "blend", work, "--of", *parts)

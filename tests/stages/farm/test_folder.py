@@ -52,7 +52,7 @@ def test_a_result_that_no_job_wrote_is_no_reason(tmp_path, said):
     result = farm_folder(tmp_path) / "results" / "t/scene/main.json"
     result.parent.mkdir(parents=True)
     result.write_text(said)
-    assert all("not run" in one.why for one in failures(tmp_path, JOBS))
+    assert all("never started" in one.why for one in failures(tmp_path, JOBS))
 
 
 def test_the_users_options_come_last_and_so_win(tmp_path):
