@@ -335,7 +335,7 @@ REFUSED = {
     ),
     "polycam-other-json": (
         lambda root: polycam(root, spoil={"t_00": "x"}),
-        "000.json: t_00 contains 'x', expected a number",
+        "000.json: t_00: found 'x', expected a number",
     ),
     "record3d-too-few-poses": (
         lambda root: record3d(root, poses=[[0, 0, 0, 1, 0, 0, 0]] * 3),
