@@ -43,9 +43,9 @@ class Viewer:
 
         Raises:
             UsageError: the field does not exist.
-            OutOfResources: viser is missing, or another viewer locks the folder.
             ArtifactStale: the folder contains no scene or no field.
-            OutOfResources: another viewer locks the folder (the message names it), or the port is taken.
+            OutOfResources: viser is missing, another viewer locks the folder (the message names it), or the port is
+                taken.
         """
         viser = _viser()
         from stages.viewing.cameras import Pose
