@@ -50,7 +50,7 @@ class StylizeConfig:
     diversity: float = option(0.5, help="how evenly transport uses the style image's features, 0 to about 2")
     structure_weight: float = option(
         -1.0,
-        help="weight of the loss of the photo's edges (-1: 4; nearest, gram: 0; desrf: 1, of objects 0.5)",
+        help="weight of the loss of the photo's edges (-1: 8; nearest, gram: 0; desrf of objects: 4)",
     )
     gram_weight: float = option(
         -1.0, help="weight of the Gram matrix loss within the style distance (-1: 2; nearest: 0)"
@@ -74,8 +74,8 @@ class StylizeConfig:
     layers: str = advanced(
         "",
         LOSS,
-        help="feature layers to match: conv2, conv3_1 ... (default: conv2_1,conv3_1; nearest: conv3; Gram: conv2 to "
-        "conv4; refnpr: conv3,conv4)",
+        help="feature layers to match: conv2, conv3_1 ... (default: conv2_1,conv3_1,conv4_1; nearest: conv3; "
+        "Gram: conv2 to conv4; refnpr: conv3,conv4)",
     )
     variation_weight: float = advanced(
         -1.0, LOSS, help="weight of the image's total variation (-1: 0.1 for desrf, else 1)"

@@ -44,7 +44,7 @@ PLAIN = {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, 
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
 DEFAULTS = {
     "transport": {
-        "content_weight": 0.005, "color_weight": 1.0, "structure_weight": 4.0, "gram_weight": 2.0, "coarse": 0.5
+        "content_weight": 0.005, "color_weight": 1.0, "structure_weight": 8.0, "gram_weight": 2.0, "coarse": 0.5
     },
     "nnfm": PLAIN,
     "gram": PLAIN,
@@ -55,14 +55,13 @@ DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose 
 # The weight that preserves a capture's shapes would preserve an object's silhouettes so firmly that no deformation
 # shows; nothing around an object can tear (decision 0015).
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
-# Of transport, for captures and for objects: edges that may not move do not bend (decisions 0050, 0054).
-DEFORMED_STRUCTURE = {True: 1.0, False: 0.5}
+DEFORMED_STRUCTURE = {"structure_weight": 4.0}  # of objects, with transport: edges that may not move do not bend (0054)
 KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
-LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1", "gram": "conv2,conv3,conv4"}
+LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1,conv4_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
@@ -194,9 +193,7 @@ def settings_of(
     loss, match, kind = image_loss(config), match_of(config), SETTINGS[type(config)]
     defaults = of_image = DEFAULTS[loss]
     if isinstance(config, DesrfConfig) and not opaque_background:
-        defaults = defaults | DEFORMED_OBJECT
-    if isinstance(config, DesrfConfig) and loss == "transport":
-        defaults = defaults | {"structure_weight": DEFORMED_STRUCTURE[opaque_background]}
+        defaults = defaults | DEFORMED_OBJECT | (DEFORMED_STRUCTURE if loss == "transport" else {})
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:

@@ -65,10 +65,10 @@ def style_features(
 
     Returns:
         [c, h', w'] for a whole, fully visible image; else [c, 1, n] at the positions that show the style (see
-        transparency.shown_positions).
+        transparency.shown_positions), without blocks that have none.
 
     Raises:
-        InvalidValue: No position shows the style.
+        InvalidValue: No position of any block shows the style.
     """
     pictures = [picture.rot90(turn, (1, 2)) for turn in range(TURNS if rotations else 1)]
     if len(pictures) == 1 and not in_parts and picture.shape[0] == 3:
@@ -84,12 +84,12 @@ def style_features(
                 rows = rows[:, torch.randperm(rows.shape[1], generator=generator)[:most].sort().values.to(rows.device)]
             kept.setdefault(block, []).append(rows)
     found = {block: torch.cat(parts, dim=1)[:, None] for block, parts in kept.items()}
-    for block, feature in found.items():
-        if feature.shape[2] == 0:
-            raise InvalidValue(
-                f"the style image's opaque parts are smaller than {block}'s receptive field at this size; give it a "
-                "background"
-            )
+    found = {block: feature for block, feature in found.items() if feature.shape[2]}
+    if not found:
+        raise InvalidValue(
+            f"the style image's opaque parts are smaller than {next(iter(kept))}'s receptive field at this size; give "
+            "it a background"
+        )
     return found
 
 

@@ -118,6 +118,8 @@ def diagonal_variation(image: Tensor) -> Tensor:
 
 EDGE_CELL = 4  # pixels; finer edges would mostly be grain
 EDGE_CONTRAST = 0.5  # fraction of an edge's contrast that is enough (decision 0068)
+EDGE_AREA = 5  # cells per side in which contrast is compared
+PAINTED = 0.125  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
 
 
 def luma_gradient(picture: Tensor) -> Tensor:
@@ -128,22 +130,38 @@ def luma_gradient(picture: Tensor) -> Tensor:
 
 
 def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) -> Tensor:
-    """Return how much of the photo's edges is missing: the mean of max(0, |p| / 2 - <r, p / |p|>), weighted by alpha.
+    """Return how much of the photo's edges is missing: the mean of w max(0, |p| / 2 - <r, p / |p|>), weighted by alpha.
 
-    r is the luma gradient of an image [3, h, w], p that of its photo. Strokes may add edges anywhere and weaken the
-    photo's by half, but plain parts of a style image may not cover details such as petals, letters or faces.
+    r is the luma gradient of an image [3, h, w], p that of its photo; w is blank_weights(). Plain parts of a style
+    image may not cover details such as petals, letters or faces; strokes may replace them for the most part.
 
     Args:
         wanted: p, [2, h', w'].
         alpha: [h, w], or None for 1 everywhere.
     """
-    length = torch.linalg.vector_norm(wanted, dim=0)
-    along = (luma_gradient(picture) * wanted).sum(0) / length.clamp_min(1e-6)
-    missing = F.relu(EDGE_CONTRAST * length - along)
+    found, length = luma_gradient(picture), torch.linalg.vector_norm(wanted, dim=0)
+    along = (found * wanted).sum(0) / length.clamp_min(1e-6)
+    missing = F.relu(EDGE_CONTRAST * length - along) * blank_weights(found.detach(), length)
     if alpha is None:
         return missing.mean()
     weights = F.avg_pool2d(alpha[None], EDGE_CELL)[0]
     return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
+
+
+def blank_weights(found: Tensor, length: Tensor) -> Tensor:
+    """Return the weight of a missing edge at each cell, [h', w']: 1 in blank areas, PAINTED among strokes.
+
+    With R and P the means of |r| and |p| over EDGE_AREA x EDGE_AREA cells: 1 for R up to P / 2, then falling linearly
+    to PAINTED at R = P.
+
+    Args:
+        found: Luma gradient r of the image, [2, h', w'].
+        length: |p| of the photo, [h', w'].
+    """
+    gradients = torch.stack([torch.linalg.vector_norm(found, dim=0), length])
+    present, wanted = F.avg_pool2d(gradients, EDGE_AREA, 1, EDGE_AREA // 2, count_include_pad=False)
+    blank = (2 - 2 * present / wanted.clamp_min(1e-4)).clamp(0, 1)
+    return PAINTED + (1 - PAINTED) * blank
 
 
 POSITIONS = 2048  # features per block that transport matches in a step
@@ -286,6 +304,8 @@ class StyleObjective(FeatureLoss):
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
         found = [self._features_of_style(style_image, size, style_scale, stroke, rotations, seed) for stroke in strokes]
+        # Small cutouts have no deep features.
+        found = [{block: feature for block, feature in one.items() if all(block in o for o in found)} for one in found]
         # Squared features of extractors differ by orders of magnitude, so content is relative to them (decision 0010).
         self.unit = {block: float(feature.square().mean().clamp_min(1e-12)) for block, feature in found[0].items()}
         self.styles = [
@@ -349,7 +369,8 @@ class StyleObjective(FeatureLoss):
         """
         found = self.features_of(picture, window)
         style_loss, content_loss = picture.new_zeros(()), picture.new_zeros(())
-        for block, feature in found.items():
+        for block in self.unit:
+            feature = found[block]
             weights = None if alpha is None else position_weights(alpha[window], feature, self.around)
             total = feature[0].numel() if weights is None else weights.sum().clamp_min(1e-6)
             places = None if sizes is None else nearest_positions(sizes[window], feature)

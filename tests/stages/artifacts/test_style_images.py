@@ -88,19 +88,22 @@ def test_the_digest_is_of_views_and_content(tmp_path):
     assert digest_of([one]) != before
 
 
+TRANSPORTED = "conv2_1,conv3_1,conv4_1"
+
+
 @pytest.mark.parametrize(
     ("options", "loss", "layers", "match"),
     [
-        ({}, "transport", "conv2_1,conv3_1", "both"),
+        ({}, "transport", TRANSPORTED, "both"),
         ({"match_by": "nearest"}, "nnfm", "conv3", "both"),
         ({"method": "desrf", "layers": "conv2"}, "transport", "conv2", "both"),
         ({"method": "snerf"}, "gram", "conv2,conv3,conv4", "both"),
-        ({"method": "snerf", "image_by": "features", "match": "none"}, "transport", "conv2_1,conv3_1", "none"),
-        ({"method": "refnpr"}, "transport", "conv2_1,conv3_1", "before"),
+        ({"method": "snerf", "image_by": "features", "match": "none"}, "transport", TRANSPORTED, "none"),
+        ({"method": "refnpr"}, "transport", TRANSPORTED, "before"),
         ({"method": "refnpr", "reference_by": "gram", "layers": "conv2"}, "gram", "conv2,conv3,conv4", "before"),
-        ({"method": "refnpr", "reference_by": "adain"}, "transport", "conv2_1,conv3_1", "none"),
-        ({"method": "refnpr", "reference": ("0=x.png",)}, "transport", "conv2_1,conv3_1", "none"),
-        ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "transport", "conv2_1,conv3_1", "before"),
+        ({"method": "refnpr", "reference_by": "adain"}, "transport", TRANSPORTED, "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",)}, "transport", TRANSPORTED, "none"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "match": "before"}, "transport", TRANSPORTED, "before"),
     ],
 )
 def test_loss_layers_and_matching_follow_from_the_method(options, loss, layers, match):

@@ -396,13 +396,38 @@ def test_missing_edges_are_those_of_the_photo_that_an_image_lacks():
     down = torch.linspace(0, 0.5, 24)[:, None].expand(3, 24, 32)
     assert float(style_loss.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
     turned = float(style_loss.missing_edges(ramp.flip(2), wanted))
-    assert turned == pytest.approx((1 + enough) * step * 7 / 8, rel=1e-3)
+    assert turned == pytest.approx(style_loss.PAINTED * (1 + enough) * step * 7 / 8, rel=1e-3)
     grain = 0.05 * torch.randn(3, 24, 32, generator=torch.Generator().manual_seed(0))
     assert float(style_loss.missing_edges(grain, wanted)) > 0.9 * plain  # grain makes no edges
     left = torch.zeros(24, 32)
     left[:, :16] = 1
     half = torch.cat([ramp[:, :, :20], torch.zeros(3, 24, 12)], dim=2)
     assert float(style_loss.missing_edges(half, wanted, left)) == pytest.approx(0, abs=1e-6)
+
+
+def test_missing_edges_weigh_most_where_a_picture_is_blank():
+    photo = style_loss.luma_gradient(torch.linspace(0, 0.9, 96).expand(3, 64, 96))
+    length = torch.linalg.vector_norm(photo, dim=0)
+    floor = style_loss.PAINTED
+    for share, expected in ((0, 1), (0.5, 1), (0.75, (1 + floor) / 2), (1, floor), (3, floor)):
+        found = style_loss.blank_weights(share * photo.flip(0), length)  # in any direction
+        torch.testing.assert_close(found, torch.full_like(length, expected))
+    left = photo.clone()
+    left[:, :, 12:] = 0  # strokes count only nearby
+    found = style_loss.blank_weights(left, length)
+    assert (found[:, :10] == floor).all() and (found[:, 14:] == 1).all()
+    image = torch.rand(3, 64, 96, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    assert not style_loss.blank_weights(style_loss.luma_gradient(image).detach(), length).requires_grad
+    black = style_loss.blank_weights(torch.zeros_like(photo), torch.zeros_like(length))
+    assert torch.isfinite(black).all()
+
+
+def test_strokes_may_replace_edges_that_plain_paint_may_not():
+    """Of two pictures without the photo's edges, the plain one misses more."""
+    wanted = style_loss.luma_gradient(torch.linspace(0, 0.9, 96).expand(3, 64, 96))
+    across = torch.linspace(0, 0.9, 64)[:, None].expand(3, 64, 96)
+    plain, painted = (float(style_loss.missing_edges(image, wanted)) for image in (torch.zeros(3, 64, 96), across))
+    assert painted == pytest.approx(style_loss.PAINTED * plain, rel=1e-3)
 
 
 def test_structure_is_part_of_the_loss_where_it_has_a_weight():

@@ -7,6 +7,7 @@ import torch
 from stylerf.errors import InvalidValue
 from stylerf.style.color_matching import in_colors_of
 from stylerf.style.style_features import style_features
+from stylerf.style.style_loss import StyleObjective, StyleWeights
 from stylerf.style.transparency import shown_colors, without_hidden_colors
 from tests.stylerf.style.small_trunk import picture, small_trunk
 
@@ -68,3 +69,18 @@ def test_parts_too_small_for_a_feature_are_refused():
     image[3, ::8, ::8] = 1
     with pytest.raises(InvalidValue, match="opaque parts are smaller"):
         style_features(small_trunk(), image)
+
+
+def test_parts_too_small_for_deep_features_are_matched_by_shallow_ones():
+    image = torch.cat([picture(64, 64, 4), torch.zeros(1, 64, 64)])
+    image[3, 20:28, 20:28] = 1
+    extractor = small_trunk("conv1_2,conv2_2")
+    assert list(style_features(extractor, image)) == ["conv1"]
+    objective = StyleObjective(extractor, image, (64, 64), StyleWeights(1, 1, 0, 0), scale=1.0, style_scale=1.0)
+    photo = picture(64, 64, 5)
+    loss, parts = objective(picture(64, 64, 6), objective.content_of(photo))
+    shallow = StyleObjective(
+        small_trunk("conv1_2"), image, (64, 64), StyleWeights(1, 1, 0, 0), scale=1.0, style_scale=1.0
+    )
+    assert float(loss) == pytest.approx(float(shallow(picture(64, 64, 6), shallow.content_of(photo))[0]), rel=1e-5)
+    assert parts["style"] > 0
