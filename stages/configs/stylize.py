@@ -50,7 +50,7 @@ class StylizeConfig:
     diversity: float = option(0.5, help="how evenly transport uses the style image's features, 0 to about 2")
     structure_weight: float = option(
         -1.0,
-        help="weight of the loss of the photo's edges (-1: 8; nearest, gram: 0; desrf of objects: 4)",
+        help="weight of the loss of the photo's edges (-1: 8; nearest, gram: 0; desrf: 4, of objects 2)",
     )
     gram_weight: float = option(
         -1.0, help="weight of the Gram matrix loss within the style distance (-1: 2; nearest: 0)"

@@ -55,7 +55,8 @@ DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose 
 # The weight that preserves a capture's shapes would preserve an object's silhouettes so firmly that no deformation
 # shows; nothing around an object can tear (decision 0015).
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
-DEFORMED_STRUCTURE = {"structure_weight": 4.0}  # of objects, with transport: edges that may not move do not bend (0054)
+# Of transport, for captures and for objects: edges that may not move do not bend (decisions 0050, 0054).
+DEFORMED_STRUCTURE = {True: 4.0, False: 2.0}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
@@ -193,7 +194,9 @@ def settings_of(
     loss, match, kind = image_loss(config), match_of(config), SETTINGS[type(config)]
     defaults = of_image = DEFAULTS[loss]
     if isinstance(config, DesrfConfig) and not opaque_background:
-        defaults = defaults | DEFORMED_OBJECT | (DEFORMED_STRUCTURE if loss == "transport" else {})
+        defaults = defaults | DEFORMED_OBJECT
+    if isinstance(config, DesrfConfig) and loss == "transport":
+        defaults = defaults | {"structure_weight": DEFORMED_STRUCTURE[opaque_background]}
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:

@@ -119,7 +119,7 @@ def diagonal_variation(image: Tensor) -> Tensor:
 EDGE_CELL = 4  # pixels; finer edges would mostly be grain
 EDGE_CONTRAST = 0.5  # fraction of an edge's contrast that is enough (decision 0068)
 EDGE_AREA = 5  # cells per side in which contrast is compared
-PAINTED = 0.125  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
+PAINTED = 0.25  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
 
 
 def luma_gradient(picture: Tensor) -> Tensor:
