@@ -68,7 +68,9 @@ class EvaluateConfig:
         digest="masks_digest",
     )
     masks_digest: str = ""
-    margin: int = advanced(2, "local edit", help="width in pixels of the border around a region that counts as neither")
+    margin: int = advanced(
+        2, "local edit", help="width in pixels of the border around a region that counts as neither (with --masks: 0)"
+    )
     ring: int = advanced(8, "local edit", help="width in pixels of the ring around a region where bleeding is measured")
     train_views: bool = advanced(False, "local edit", help="also measure a local edit on the training views")
     ceiling: int = advanced(

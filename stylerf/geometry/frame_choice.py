@@ -97,7 +97,8 @@ def motion_between(one: np.ndarray, two: np.ndarray) -> float:
         two: The same shape.
 
     Returns:
-        0 for equal frames, at most WINDOW/2 pixels; NaN where no window has a clear peak, as at a cut.
+        0 for equal frames; at most that of half a window in both directions; NaN if no window has a clear peak, as at
+        a cut.
     """
     height, width = one.shape
     rows, columns = min(WINDOW, height), min(WINDOW, width)
