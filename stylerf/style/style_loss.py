@@ -141,15 +141,16 @@ def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) 
     """
     found, length = luma_gradient(picture), torch.linalg.vector_norm(wanted, dim=0)
     along = (found * wanted).sum(0) / length.clamp_min(1e-6)
-    missing = F.relu(EDGE_CONTRAST * length - along) * blank_weights(found.detach(), length)
+    missing = F.relu(EDGE_CONTRAST * length - along) * blank_weights(found, length)
     if alpha is None:
         return missing.mean()
     weights = F.avg_pool2d(alpha[None], EDGE_CELL)[0]
     return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
 
 
+@torch.no_grad()
 def blank_weights(found: Tensor, length: Tensor) -> Tensor:
-    """Return the weight of a missing edge at each cell, [h', w']: 1 in blank areas, PAINTED among strokes.
+    """Return the weight of a missing edge at each cell, [h', w']: 1 in blank areas, PAINTED at strokes; no gradient.
 
     With R and P the means of |r| and |p| over EDGE_AREA x EDGE_AREA cells: 1 for R up to P / 2, then falling linearly
     to PAINTED at R = P.
