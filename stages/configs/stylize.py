@@ -74,8 +74,8 @@ class StylizeConfig:
     layers: str = advanced(
         "",
         LOSS,
-        help="feature layers to match: conv2, conv3_1 ... (default: conv2_1,conv3_1,conv4_1; nearest: conv3; "
-        "Gram: conv2 to conv4; refnpr: conv3,conv4)",
+        help="feature layers to match: conv2, conv3_1 ... (default: conv2_1,conv3_1, with conv4_1 in coarse "
+        "steps; nearest: conv3; Gram: conv2 to conv4; refnpr: conv3,conv4)",
     )
     variation_weight: float = advanced(
         -1.0, LOSS, help="weight of the image's total variation (-1: 0.1 for desrf, else 1)"

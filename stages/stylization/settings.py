@@ -63,6 +63,8 @@ KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
 LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1,conv4_1", "gram": "conv2,conv3,conv4"}
+# Of transport, at full size: deep features lengthen strokes in the coarse half of the steps, and cost too much later.
+FINE_LAYERS = "conv2_1,conv3_1"
 REFERENCE_LAYERS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
@@ -121,8 +123,12 @@ def image_loss(config: StylizeConfig) -> str:
 
 def image_layers(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
     """Return the layers at which they are compared."""
-    own = "" if isinstance(config, RefNprConfig) else config.layers
-    return own or available(LAYERS_OF[image_loss(config)], state)
+    return own_layers(config) or available(LAYERS_OF[image_loss(config)], state)
+
+
+def own_layers(config: StylizeConfig) -> str:
+    """Return the layers requested for that; refnpr's are of references."""
+    return "" if isinstance(config, RefNprConfig) else config.layers
 
 
 def reference_layers(config: StylizeConfig, state: Mapping[str, torch.Tensor]) -> str:
@@ -211,6 +217,8 @@ def settings_of(
     feature_side = FEATURE_SIDE if loss == "transport" else SMALL_VIEW
     feature_scale = config.feature_scale or min(1.0, max(0.5, feature_side / long_side))
     own: dict[str, Any] = {}
+    if loss == "transport" and found["coarse"] > 0 and not own_layers(config):
+        own["fine_layers"] = FINE_LAYERS
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)
         own["detail_rate"] = detail_rate_of(config, style_image, round(long_side * feature_scale))

@@ -9,7 +9,9 @@ order, and `input.scale`, `input.shift` [3]: the network's input is scale * rgb 
 """
 
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 import torch
 import torch.nn.functional as F
@@ -101,6 +103,15 @@ class FeatureExtractor(nn.Module):
         self._convolutions: dict[str, FrozenConvolution] = {}
         blur = torch.tensor(BLUR_KERNEL)
         self.register_buffer("blur", torch.outer(blur, blur) / blur.sum() ** 2)
+
+    def only(self, layers: str) -> Self:
+        """Return an extractor of those of its layers that are named, with the same weights; itself if none is."""
+        kept = tuple(layer for layer in self.layers if layers and layer in layers_of(layers))
+        if not kept or kept == self.layers:
+            return self
+        made = copy(self)
+        made.layers, made.built = kept, LAYERS[: LAYERS.index(kept[-1]) + 1]
+        return made
 
     @property
     def channels(self) -> tuple[int, ...]:

@@ -74,11 +74,12 @@ def painted_photo(
 
     scale = 0.0
     for at in range(steps):
-        wanted = settings.feature_scale * (0.5 if at < settings.coarse * steps else 1.0)
+        coarse = at < settings.coarse * steps
+        wanted = settings.feature_scale * (0.5 if coarse else 1.0)
         if wanted != scale:
-            scale = wanted
+            scale, used = wanted, extractor if coarse else extractor.only(settings.fine_layers)
             objective = OBJECTIVES[settings.loss](
-                extractor, style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale, settings.style_rows,
+                used, style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale, settings.style_rows,
                 settings.style_basis, settings.style_scale, seed, settings.variation, 0, settings.diversity,
                 (settings.stroke,), settings.rotations, settings.keep_colors,
             )  # fmt: skip

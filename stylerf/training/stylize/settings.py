@@ -60,6 +60,7 @@ class ImageStyleSettings(StyleSettings):
         loss: transport (see style/transport.py), nnfm (nearest neighbor feature matching) or gram (Gram matrices).
         feature_scale: Size of the image that features are extracted from, relative to the view.
         coarse: Initial fraction of the style steps that use half of `feature_scale` (decision 0013).
+        fine_layers: Layers that the other steps use; empty for all.
         style_scale, style_rows, style_basis, variation, diversity, rotations: See style/style_loss.StyleObjective.
         stroke, stroke_by_depth: See stroke_sizes.py.
         keep_colors: Match the style image's colors to the photos' instead of vice versa.
@@ -69,6 +70,7 @@ class ImageStyleSettings(StyleSettings):
     loss: str = "nnfm"
     feature_scale: float = 0.5
     coarse: float = 0.0
+    fine_layers: str = ""
     style_scale: float = 1.0
     style_rows: int = 4096
     style_basis: int = 96

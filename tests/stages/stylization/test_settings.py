@@ -80,6 +80,22 @@ def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, op
         assert of_view.structure == 0 and of_view.gram == 0
 
 
+@pytest.mark.parametrize(
+    ("method", "options", "layers"),
+    [
+        ("arf", {}, "conv2_1,conv3_1"),
+        ("desrf", {}, "conv2_1,conv3_1"),
+        ("arf", {"coarse": 0.0}, ""),
+        ("arf", {"layers": "conv3,conv4"}, ""),
+        ("arf", {"match_by": "nearest", "coarse": 0.5}, ""),
+        ("snerf", {}, ""),
+        ("refnpr", {}, ""),
+    ],
+)
+def test_transport_leaves_out_deep_layers_after_the_coarse_steps_unless_told(method, options, layers):
+    assert settings_of(CONFIGS[method](style="x", **options), 800, True).fine_layers == layers
+
+
 def test_edges_of_a_deformed_object_weigh_less():
     for method, options, expected in (("desrf", {}, 2.0), ("desrf", {"match_by": "nearest"}, 0.0), ("arf", {}, 8.0)):
         assert settings_of(CONFIGS[method](style="x", **options), 800, False).weights.structure == expected, method

@@ -79,6 +79,18 @@ def test_only_the_layers_up_to_the_deepest_tap_are_built():
     assert not any(name.startswith("conv2_2") for name, _ in trunk.named_buffers())
 
 
+def test_fewer_layers_of_an_extractor_are_the_same_features():
+    trunk = FeatureExtractor(small_state(), "conv1_2,conv2_1,conv3_1")
+    image = torch.rand(1, 3, 16, 18, generator=torch.Generator().manual_seed(0))
+    less = trunk.only("conv1_2,conv2_1")
+    assert less.layers == ("conv1_2", "conv2_1") and less.built == ("conv1_1", "conv1_2", "conv2_1")
+    for one, other in zip(less(image), trunk(image)[:2], strict=True):
+        assert torch.equal(one, other)
+    assert trunk.layers == ("conv1_2", "conv2_1", "conv3_1") and len(trunk(image)) == 3
+    for same in ("", "conv4_1", "conv1_2,conv2_1,conv3_1,conv5_1"):
+        assert trunk.only(same) is trunk, same
+
+
 def test_gradient_of_the_image_is_exact_and_weights_have_none():
     trunk = FeatureExtractor(small_state(), "conv1_2,conv3_1").double()
     image = torch.rand(1, 3, 8, 9, dtype=torch.float64, requires_grad=True)

@@ -389,6 +389,21 @@ def test_large_strokes_come_first():
     assert contents[1] == {} and {shape[1:] for shape in contents[3].values()} == {(HEIGHT, WIDTH)}
 
 
+def test_deep_layers_are_used_in_the_coarse_steps_only():
+    given = problem(settings(ArfSettings, steps=4, coarse=0.5, fine_layers="conv1_2", match="none"), 0, memory=MEMORY)
+    made, blocks = trainer(lambda scene: Arf(scene, small_trunk("conv1_2,conv2_1")), given), []
+
+    def look(now: StylizationTrainer) -> None:
+        if now.state.phase == "style":
+            loss = now.method.loss
+            content = {tuple(kept.features) for kept in loss._content.kept.values()}
+            blocks.append((tuple(loss.objective.unit), content))
+
+    made.run(look)
+    assert [names for names, _ in blocks] == [("conv1", "conv2"), ("conv1",), ("conv1",), ("conv1",)]
+    assert blocks[0][1] == {("conv1", "conv2")} and blocks[3][1] == {("conv1",)}
+
+
 def test_features_are_taken_around_the_object_alone():
     made = stylizer()
     assert all(

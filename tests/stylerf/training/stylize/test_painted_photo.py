@@ -55,6 +55,15 @@ def test_strokes_are_as_the_settings_say(photo, stripes, option):
     assert np.abs(plain - other).mean() > 1e-3
 
 
+def test_deep_layers_are_used_in_the_coarse_steps_only(photo, stripes):
+    """Without coarse steps, leaving a layer out is the same as an extractor without it."""
+    settings = replace(SETTINGS, coarse=0.0)
+    extractor = small_trunk("conv1_2,conv2_1")
+    less = painted_photo(photo, None, 1.0, stripes, replace(settings, fine_layers="conv1_2"), extractor, 3)
+    assert np.array_equal(less, painted_photo(photo, None, 1.0, stripes, settings, small_trunk("conv1_2"), 3))
+    assert not np.array_equal(less, painted_photo(photo, None, 1.0, stripes, settings, extractor, 3))
+
+
 @pytest.mark.parametrize("match", ["before", "after", "both"])
 def test_colors_are_matched_as_the_settings_say(photo, stripes, match):
     settings = replace(SETTINGS, match=match, max_gain=0.0)
