@@ -61,10 +61,10 @@ KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
 REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
-# Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
-LAYERS_OF = {"nnfm": "conv3", "transport": "conv2_1,conv3_1,conv4_1", "gram": "conv2,conv3,conv4"}
-# Of transport, at full size: deep features lengthen strokes in the coarse half of the steps, and cost too much later.
+# Of transport, after the coarse steps, in which conv4_1 lengthens strokes at little cost (decision 0069).
 FINE_LAYERS = "conv2_1,conv3_1"
+# Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.
+LAYERS_OF = {"nnfm": "conv3", "transport": f"{FINE_LAYERS},conv4_1", "gram": "conv2,conv3,conv4"}
 REFERENCE_LAYERS = "conv3,conv4"
 COARSE_BLOCK = "conv5"
 
@@ -217,7 +217,7 @@ def settings_of(
     feature_side = FEATURE_SIDE if loss == "transport" else SMALL_VIEW
     feature_scale = config.feature_scale or min(1.0, max(0.5, feature_side / long_side))
     own: dict[str, Any] = {}
-    if loss == "transport" and found["coarse"] > 0 and not own_layers(config):
+    if loss == "transport" and not own_layers(config):
         own["fine_layers"] = FINE_LAYERS
     if isinstance(config, ArfConfig):
         own["strategy"] = strategy_of(config, long_side)

@@ -152,8 +152,8 @@ def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) 
 def blank_weights(found: Tensor, length: Tensor) -> Tensor:
     """Return the weight of a missing edge at each cell, [h', w']: 1 in blank areas, PAINTED at strokes; no gradient.
 
-    With R and P the means of |r| and |p| over EDGE_AREA x EDGE_AREA cells: 1 for R up to P / 2, then falling linearly
-    to PAINTED at R = P.
+    With R and P the means of |r| and |p| over EDGE_AREA x EDGE_AREA cells: 1 for R up to EDGE_CONTRAST P, then falling
+    linearly to PAINTED at R = P.
 
     Args:
         found: Luma gradient r of the image, [2, h', w'].
@@ -161,7 +161,7 @@ def blank_weights(found: Tensor, length: Tensor) -> Tensor:
     """
     gradients = torch.stack([torch.linalg.vector_norm(found, dim=0), length])
     present, wanted = F.avg_pool2d(gradients, EDGE_AREA, 1, EDGE_AREA // 2, count_include_pad=False)
-    blank = (2 - 2 * present / wanted.clamp_min(1e-4)).clamp(0, 1)
+    blank = ((1 - present / wanted.clamp_min(1e-4)) / (1 - EDGE_CONTRAST)).clamp(0, 1)
     return PAINTED + (1 - PAINTED) * blank
 
 

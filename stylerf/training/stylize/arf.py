@@ -87,15 +87,13 @@ class ViewLoss:
         scene, s, style_image = self.scene, self.scene.settings, self.scene.style_image
         if style_image is None:
             raise InvalidValue("the style loss needs a style image")
-        coarse = scene.budget.progress < s.coarse
-        scale = s.feature_scale / 2 if coarse else s.feature_scale
+        scale, layers = s.features_at(scene.budget.progress)
         if self._objective is None or self._objective.scale != scale:
             self._content = self._new_cache()  # at the new scale
             options = (s.weights, scale, s.style_rows, s.style_basis, s.style_scale, scene.problem.seed, s.variation)
-            extractor = self.extractor if coarse else self.extractor.only(s.fine_layers)
             self._objective = OBJECTIVES[s.loss](
-                extractor, style_image, self._size, *options, self.around, s.diversity, self._strokes, s.rotations,
-                s.keep_colors,
+                self.extractor.only(layers), style_image, self._size, *options, self.around, s.diversity, self._strokes,
+                s.rotations, s.keep_colors,
             )  # fmt: skip
         return self._objective
 

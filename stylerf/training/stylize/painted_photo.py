@@ -74,14 +74,13 @@ def painted_photo(
 
     scale = 0.0
     for at in range(steps):
-        coarse = at < settings.coarse * steps
-        wanted = settings.feature_scale * (0.5 if coarse else 1.0)
+        wanted, layers = settings.features_at(at / steps)
         if wanted != scale:
-            scale, used = wanted, extractor if coarse else extractor.only(settings.fine_layers)
+            scale = wanted
             objective = OBJECTIVES[settings.loss](
-                used, style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale, settings.style_rows,
-                settings.style_basis, settings.style_scale, seed, settings.variation, 0, settings.diversity,
-                (settings.stroke,), settings.rotations, settings.keep_colors,
+                extractor.only(layers), style_image, (photo.shape[0], photo.shape[1]), settings.weights, scale,
+                settings.style_rows, settings.style_basis, settings.style_scale, seed, settings.variation, 0,
+                settings.diversity, (settings.stroke,), settings.rotations, settings.keep_colors,
             )  # fmt: skip
             content = objective.content_of(shown(start)) if settings.weights.need_photo else None
         objective.draw = at

@@ -81,6 +81,16 @@ class ImageStyleSettings(StyleSettings):
     rotations: bool = False
     keep_colors: bool = False
 
+    def features_at(self, progress: float) -> tuple[float, str]:
+        """Return the scale of the images that features are extracted from, and the layers (empty for all).
+
+        Args:
+            progress: Of the style steps, 0..1.
+        """
+        if progress < self.coarse:
+            return self.feature_scale / 2, ""
+        return self.feature_scale, self.fine_layers
+
     def for_style(self, strength: float) -> Self:
         return replace(self, weights=replace(self.weights, style=strength * self.weights.style))
 

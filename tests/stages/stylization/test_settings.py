@@ -85,11 +85,11 @@ def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, op
     [
         ("arf", {}, "conv2_1,conv3_1"),
         ("desrf", {}, "conv2_1,conv3_1"),
-        ("arf", {"coarse": 0.0}, ""),
+        ("arf", {"coarse": 0.0}, "conv2_1,conv3_1"),
         ("arf", {"layers": "conv3,conv4"}, ""),
         ("arf", {"match_by": "nearest", "coarse": 0.5}, ""),
         ("snerf", {}, ""),
-        ("refnpr", {}, ""),
+        ("refnpr", {}, "conv2_1,conv3_1"),
     ],
 )
 def test_transport_leaves_out_deep_layers_after_the_coarse_steps_unless_told(method, options, layers):
