@@ -55,6 +55,9 @@ class StylizeConfig:
     gram_weight: float = option(
         -1.0, help="weight of the Gram matrix loss within the style distance (-1: 2; nearest: 0)"
     )
+    grain_weight: float = option(
+        -1.0, help="weight of the loss of grain that the style image lacks (-1: 4; nearest, gram: 0)"
+    )
     stroke: float = option(1.0, help="stroke size relative to the default, 0.25 to 4")
     stroke_by_depth: bool = option(
         False, help="halve strokes at twice the depth; --stroke is the size at the scene's median depth"
@@ -165,7 +168,9 @@ class StylizeConfig:
             raise ValueError("max_gain must not be negative (0: no limit)")
         if not (0 <= self.coarse <= 1 or self.coarse == -1):
             raise ValueError("coarse must be in 0..1 (or -1: by method and scene)")
-        self._check_weights("variation_weight", "content_weight", "color_weight", "structure_weight", "gram_weight")
+        self._check_weights(
+            "variation_weight", "content_weight", "color_weight", "structure_weight", "gram_weight", "grain_weight"
+        )
         finest = self.finest == 0 or 16 <= self.finest <= 4096
         if not (1 <= self.levels <= 16 and finest and 10 <= self.table_bits <= 24):
             raise ValueError("the color field takes 1 to 16 levels, 16 to 4096 cells (or 0), 10 to 24 table bits")
@@ -348,7 +353,7 @@ class RefNprConfig(ArfConfig):
             raise ValueError(f"a view has two references: {', '.join(views)}")
         if self.reference_steps < 1 or self.image_rate <= 0 or self.reference_weight < 0:
             raise ValueError("reference_steps must be at least 1, image_rate > 0, reference_weight at least 0")
-        for name in ("structure_weight", "gram_weight"):
+        for name in ("structure_weight", "gram_weight", "grain_weight"):
             if getattr(self, name) != -1:
                 raise ValueError(f"--{name.replace('_', '-')} has no effect with --method refnpr; leave it out")
 

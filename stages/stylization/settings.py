@@ -39,12 +39,16 @@ ROUGH, DETAIL_RATES = 0.05, (0.1, 1.0)
 BROAD = 10.0
 NARROW = 1.1  # pixels of the images that features are taken of; narrower cells do not learn (decision 0066)
 FEATURE_SIDE = 512  # pixels of the longer side that transport takes features of, if not half of a view is more
-PLAIN = {"content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
+PLAIN = {
+    "content_weight": 0.02, "color_weight": 10.0, "structure_weight": 0.0, "gram_weight": 0.0, "grain_weight": 0.0,
+    "coarse": 0.0,
+}  # fmt: skip
 # By how views are compared with the style image. Transport needs little to hold a view to its photo, and its first half
 # of steps, at half the size, makes strokes that are longer than a feature is wide (decision 0049).
 DEFAULTS = {
     "transport": {
-        "content_weight": 0.005, "color_weight": 1.0, "structure_weight": 8.0, "gram_weight": 2.0, "coarse": 0.5
+        "content_weight": 0.005, "color_weight": 1.0, "structure_weight": 8.0, "gram_weight": 2.0, "grain_weight": 4.0,
+        "coarse": 0.5,
     },
     "nnfm": PLAIN,
     "gram": PLAIN,
@@ -60,7 +64,7 @@ DEFORMED_STRUCTURE = {True: 4.0, False: 2.0}
 KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
-REFERENCE = {"content_weight": 0.1, "color_weight": 5.0, "structure_weight": 0.0, "gram_weight": 0.0, "coarse": 0.0}
+REFERENCE = PLAIN | {"content_weight": 0.1, "color_weight": 5.0}
 # Of transport, after the coarse steps, in which conv4_1 lengthens strokes at little cost (decision 0069).
 FINE_LAYERS = "conv2_1,conv3_1"
 # Blocks 1 to 3 (Gram), 2 and 3 (references) and 4 (coarse matches) of programs that count them from 0.

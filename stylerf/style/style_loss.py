@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.srgb import LUMA
+from stylerf.style.edge_loss import grain, luma_gradient, missing_edges, style_gradients
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, feature_size, features, resized
 from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
 from stylerf.style.style_features import stroke_picture, style_features
@@ -116,56 +116,8 @@ def diagonal_variation(image: Tensor) -> Tensor:
     return torch.linalg.vector_norm(right + down, dim=0)
 
 
-EDGE_CELL = 4  # pixels; finer edges would mostly be grain
-EDGE_CONTRAST = 0.5  # fraction of an edge's contrast that is enough (decision 0068)
-EDGE_AREA = 5  # cells per side in which contrast is compared
-PAINTED = 0.25  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
-
-
-def luma_gradient(picture: Tensor) -> Tensor:
-    """Return the luma gradient (right, down) of an image [3, h, w], [2, h // EDGE_CELL, w // EDGE_CELL]."""
-    weights = picture.new_tensor(LUMA)[:, None, None]
-    luma = F.avg_pool2d((weights * picture).sum(0)[None], EDGE_CELL)[0]
-    return torch.stack([F.pad(luma[:, 1:] - luma[:, :-1], (0, 1)), F.pad(luma[1:] - luma[:-1], (0, 0, 0, 1))])
-
-
-def missing_edges(picture: Tensor, wanted: Tensor, alpha: Tensor | None = None) -> Tensor:
-    """Return how much of the photo's edges is missing: the mean of w max(0, |p| / 2 - <r, p / |p|>), weighted by alpha.
-
-    r is the luma gradient of an image [3, h, w], p that of its photo; w is blank_weights(). Plain parts of a style
-    image may not cover details such as petals, letters or faces; strokes may replace them for the most part.
-
-    Args:
-        wanted: p, [2, h', w'].
-        alpha: [h, w], or None for 1 everywhere.
-    """
-    found, length = luma_gradient(picture), torch.linalg.vector_norm(wanted, dim=0)
-    along = (found * wanted).sum(0) / length.clamp_min(1e-6)
-    missing = F.relu(EDGE_CONTRAST * length - along) * blank_weights(found, length)
-    if alpha is None:
-        return missing.mean()
-    weights = F.avg_pool2d(alpha[None], EDGE_CELL)[0]
-    return (missing * weights).sum() / weights.sum().clamp_min(1e-6)
-
-
-@torch.no_grad()
-def blank_weights(found: Tensor, length: Tensor) -> Tensor:
-    """Return the weight of a missing edge at each cell, [h', w']: 1 in blank areas, PAINTED at strokes; no gradient.
-
-    With R and P the means of |r| and |p| over EDGE_AREA x EDGE_AREA cells: 1 for R up to EDGE_CONTRAST P, then falling
-    linearly to PAINTED at R = P.
-
-    Args:
-        found: Luma gradient r of the image, [2, h', w'].
-        length: |p| of the photo, [h', w'].
-    """
-    gradients = torch.stack([torch.linalg.vector_norm(found, dim=0), length])
-    present, wanted = F.avg_pool2d(gradients, EDGE_AREA, 1, EDGE_AREA // 2, count_include_pad=False)
-    blank = ((1 - present / wanted.clamp_min(1e-4)) / (1 - EDGE_CONTRAST)).clamp(0, 1)
-    return PAINTED + (1 - PAINTED) * blank
-
-
 POSITIONS = 2048  # features per block that transport matches in a step
+GRADIENT_SIDE = 2048  # pixels at most of the style image whose gradients count
 CELLS = 32  # along the longer side: the resolution of the color term
 Window = tuple[slice, slice]  # rows and columns of an image
 EVERYTHING: Window = (slice(None), slice(None))
@@ -187,6 +139,7 @@ class StyleWeights:
         color: Of the mean squared difference of mean colors in CELLS cells: features hardly depend on color, which
             would otherwise drift (decision 0012).
         structure: Of the photo's missing edges (see missing_edges()).
+        grain: Of gradients beyond the style image's (see grain()).
         gram: Of gram_difference() within the style distance, in addition to the distance of single features.
     """
 
@@ -196,6 +149,7 @@ class StyleWeights:
     color: float = 10.0
     structure: float = 0.0
     gram: float = 0.0
+    grain: float = 0.0
 
     @property
     def need_photo(self) -> bool:
@@ -305,6 +259,11 @@ class StyleObjective(FeatureLoss):
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
         found = [self._features_of_style(style_image, size, style_scale, stroke, rotations, seed) for stroke in strokes]
+        if weights.grain > 0:
+            stroke = strokes[len(strokes) // 2]
+            scale = min(1.0, GRADIENT_SIDE / (max(size) * style_scale * stroke))
+            picture = scaled_style(style_image, size, scale, style_scale, stroke)
+            self.gradients = style_gradients(picture.to(self.device))
         # Small cutouts have no deep features.
         found = [{block: feature for block, feature in one.items() if all(block in o for o in found)} for one in found]
         # Squared features of extractors differ by orders of magnitude, so content is relative to them (decision 0010).
@@ -391,6 +350,8 @@ class StyleObjective(FeatureLoss):
             structure = missing_edges(picture, content.edges.to(picture), alpha)
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         parts["structure"] = structure
+        if self.weights.grain > 0:
+            parts["grain"] = grain(picture, self.gradients, alpha)
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
 
 

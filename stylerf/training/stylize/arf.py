@@ -15,6 +15,7 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
+from stylerf.style.edge_loss import luma_gradient
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageLoss
 from stylerf.style.style_loss import (
@@ -24,7 +25,6 @@ from stylerf.style.style_loss import (
     StyleObjective,
     TransportObjective,
     cell_colors,
-    luma_gradient,
     scaled_style,
     window_of,
 )

@@ -92,7 +92,8 @@ class ImageStyleSettings(StyleSettings):
         return self.feature_scale, self.fine_layers
 
     def for_style(self, strength: float) -> Self:
-        return replace(self, weights=replace(self.weights, style=strength * self.weights.style))
+        weights = replace(self.weights, style=strength * self.weights.style, grain=strength * self.weights.grain)
+        return replace(self, weights=weights)
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, op
     if method == "refnpr":  # a view follows its reference, not the photo's edges
         of_view = found.reference_feature_weights
         assert of_view.structure == 0 and of_view.gram == 0
+        assert of_view.grain == 0 and found.weights.grain == 4
 
 
 @pytest.mark.parametrize(
@@ -94,6 +95,11 @@ def test_how_images_are_compared_decides_on_edges_statistics_and_size(method, op
 )
 def test_transport_leaves_out_deep_layers_after_the_coarse_steps_unless_told(method, options, layers):
     assert settings_of(CONFIGS[method](style="x", **options), 800, True).fine_layers == layers
+
+
+def test_grain_counts_where_features_are_transported():
+    for options, expected in (({}, 4.0), ({"match_by": "nearest"}, 0.0), ({"grain_weight": 1.0}, 1.0)):
+        assert settings_of(ArfConfig(style="x", **options), 800, True).weights.grain == expected
 
 
 def test_edges_of_a_deformed_object_weigh_less():
@@ -169,6 +175,7 @@ def test_matching_is_refused_where_no_features_are_matched(method, options):
         ("snerf", {"gram_weight": 1.0}),
         ("refnpr", {"gram_weight": 1.0}),
         ("refnpr", {"structure_weight": 1.0}),
+        ("refnpr", {"grain_weight": 1.0}),
     ],
 )
 def test_weights_of_terms_that_a_method_lacks_are_refused(method, options):

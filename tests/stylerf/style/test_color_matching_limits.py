@@ -1,10 +1,13 @@
 """A painting that colors are matched to: a least spread of luma, and no more than the scene can follow."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from stylerf.srgb import LUMA
 from stylerf.style.color_matching import color_statistics, match_colors, spread_at_least, spread_at_most, strokes_in
+from stylerf.style.style_loss import StyleWeights
 from stylerf.training.stylize.settings import DesrfSettings
 from tests.stylerf.style.small_trunk import picture
 from tests.stylerf.training.stylizing import arf
@@ -46,6 +49,8 @@ def test_a_blank_sheet_has_no_strokes_to_teach():
     assert strokes_in(blots, 0.2) == 1
     one = arf({"style_image": torch.ones(3, 16, 16)}, min_spread=0.1)
     assert one.settings.weights.style == 0 and one.settings.weights.content > 0
+    grainy = replace(DesrfSettings(), weights=StyleWeights(grain=8.0))
+    assert grainy.for_style(0.5).weights.grain == 4
     # Adam's steps are as long for what a weak loss leaves of a gradient: shapes would move by rounding.
     assert DesrfSettings().for_style(0.0).deform_rate == 0 < DesrfSettings().for_style(1.0).deform_rate
 

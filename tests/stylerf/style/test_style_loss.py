@@ -6,6 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.style import style_loss
+from stylerf.style.edge_loss import grain, luma_gradient, missing_edges
 from stylerf.style.feature_extractor import by_block, fitted, resized
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
 from stylerf.style.style_loss import (
@@ -128,9 +129,7 @@ def test_gram_matrix_equals_a_loop_and_ignores_positions_of_no_weight():
             expected[a, b] = sum(float(values[a, i, j] * values[b, i, j]) for i in range(2) for j in range(4)) / 24
     np.testing.assert_allclose(style_loss.gram_matrix(values).numpy(), expected, rtol=1e-12)
     weights = torch.tensor([[1.0, 1, 0, 0], [1, 1, 0, 0]], dtype=torch.float64)
-    torch.testing.assert_close(
-        style_loss.gram_matrix(values, weights), style_loss.gram_matrix(values[:, :, :2])
-    )
+    torch.testing.assert_close(style_loss.gram_matrix(values, weights), style_loss.gram_matrix(values[:, :, :2]))
     with pytest.raises(InvalidValue):
         style_loss.gram_matrix(values, weights * 0)
 
@@ -384,59 +383,23 @@ def test_transport_draws_other_positions_in_each_step(monkeypatch):
     assert found[0] == found[2] != found[1]
 
 
-def test_missing_edges_are_those_of_the_photo_that_an_image_lacks():
-    ramp = torch.linspace(0, 0.9, 32).expand(3, 24, 32)
-    wanted = style_loss.luma_gradient(ramp)
-    step = 4 * 0.9 / 31  # of luma from cell to cell, in 7 of 8 columns
-    enough = style_loss.EDGE_CONTRAST
-    plain = float(style_loss.missing_edges(torch.zeros(3, 24, 32), wanted))
-    assert plain == pytest.approx(enough * step * 7 / 8, rel=1e-3)
-    assert float(style_loss.missing_edges(enough * ramp, wanted)) == pytest.approx(0, abs=1e-6)
-    assert float(style_loss.missing_edges(0.8 * enough * ramp, wanted)) == pytest.approx(0.2 * plain, rel=1e-3)
-    down = torch.linspace(0, 0.5, 24)[:, None].expand(3, 24, 32)
-    assert float(style_loss.missing_edges(ramp + down, wanted)) == pytest.approx(0, abs=1e-6)  # more is free
-    turned = float(style_loss.missing_edges(ramp.flip(2), wanted))
-    assert turned == pytest.approx(style_loss.PAINTED * (1 + enough) * step * 7 / 8, rel=1e-3)
-    grain = 0.05 * torch.randn(3, 24, 32, generator=torch.Generator().manual_seed(0))
-    assert float(style_loss.missing_edges(grain, wanted)) > 0.9 * plain  # grain makes no edges
-    left = torch.zeros(24, 32)
-    left[:, :16] = 1
-    half = torch.cat([ramp[:, :, :20], torch.zeros(3, 24, 12)], dim=2)
-    assert float(style_loss.missing_edges(half, wanted, left)) == pytest.approx(0, abs=1e-6)
-
-
-def test_missing_edges_weigh_most_where_a_picture_is_blank():
-    photo = style_loss.luma_gradient(torch.linspace(0, 0.9, 96).expand(3, 64, 96))
-    length = torch.linalg.vector_norm(photo, dim=0)
-    floor = style_loss.PAINTED
-    for share, expected in ((0, 1), (0.5, 1), (0.75, (1 + floor) / 2), (1, floor), (3, floor)):
-        found = style_loss.blank_weights(share * photo.flip(0), length)  # in any direction
-        torch.testing.assert_close(found, torch.full_like(length, expected))
-    left = photo.clone()
-    left[:, :, 12:] = 0  # strokes count only nearby
-    found = style_loss.blank_weights(left, length)
-    assert (found[:, :10] == floor).all() and (found[:, 14:] == 1).all()
-    image = torch.rand(3, 64, 96, generator=torch.Generator().manual_seed(0), requires_grad=True)
-    assert not style_loss.blank_weights(style_loss.luma_gradient(image), length).requires_grad
-    black = style_loss.blank_weights(torch.zeros_like(photo), torch.zeros_like(length))
-    assert torch.isfinite(black).all()
-
-
-def test_strokes_may_replace_edges_that_plain_paint_may_not():
-    """Of two pictures without the photo's edges, the plain one misses more."""
-    wanted = style_loss.luma_gradient(torch.linspace(0, 0.9, 96).expand(3, 64, 96))
-    across = torch.linspace(0, 0.9, 64)[:, None].expand(3, 64, 96)
-    plain, painted = (float(style_loss.missing_edges(image, wanted)) for image in (torch.zeros(3, 64, 96), across))
-    assert painted == pytest.approx(style_loss.PAINTED * plain, rel=1e-3)
-
-
 def test_structure_is_part_of_the_loss_where_it_has_a_weight():
     image, photo = picture(HEIGHT, WIDTH, 2), picture(HEIGHT, WIDTH, 3)
     made = objective(StyleWeights(0, 0, 0, 0, 2.0))
     loss, parts = made(image, made.content_of(photo))
-    expected = float(style_loss.missing_edges(image, style_loss.luma_gradient(photo)))
+    expected = float(missing_edges(image, luma_gradient(photo)))
     assert float(loss) == pytest.approx(2 * expected, rel=1e-2) and parts["structure"] > 0
     assert objective(StyleWeights(1, 0, 0, 0, 0)).weights.need_photo is False
+
+
+def test_grain_is_part_of_the_loss_where_it_has_a_weight():
+    bar, image = torch.zeros(3, 30, 40), picture(HEIGHT, WIDTH, 2)
+    bar[:, :, 11:25] = 1
+    made = StyleObjective(small_trunk("conv2"), bar, (HEIGHT, WIDTH), StyleWeights(0, 0, 0, 0, grain=2.0))
+    loss, parts = made(image, None)
+    expected = float(grain(image, made.gradients))
+    assert float(loss) == pytest.approx(2 * expected, rel=1e-6) and parts["grain"] == pytest.approx(expected)
+    assert expected > 0 and made.weights.need_photo is False
 
 
 def test_the_difference_of_gram_matrices_is_relative_to_both():
