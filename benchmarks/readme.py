@@ -422,6 +422,11 @@ def votes() -> str:
     for row in report["rows"]:
         share = f"{row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
         lines.append(f"| {row['group']} | {row['contender']} | {row['won']} of {row['decided']} | {share} |")
+    if report["matchups"]:
+        lines += ["", "| method | against | preferred | share (95 %) |", "|---|---|---|---|"]
+    for row in report["matchups"]:
+        share = f"{row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
+        lines.append(f"| {row['contender']} | {row['against']} | {row['won']} of {row['decided']} | {share} |")
     lines += ["", "| figure | agrees with the votes | share (95 %) |", "|---|---|---|"]
     for one in report["agreement"]:
         share = f"{one['share']:.2f} ({one['low']:.2f} to {one['high']:.2f})"

@@ -79,6 +79,15 @@ class Standing:
 
 
 @dataclass(frozen=True)
+class Matchup:
+    """Votes between two contenders over all groups; `won` by the first."""
+
+    labels: tuple[str, str]
+    won: Share
+    same: int
+
+
+@dataclass(frozen=True)
 class Agreement:
     """How often the picture of the run with the better figure was chosen."""
 
@@ -211,6 +220,20 @@ def standings(votes: Iterable[Vote], runs: Mapping[str, Run]) -> dict[str, list[
     return found
 
 
+def matchups(votes: Iterable[Vote]) -> list[Matchup]:
+    """Return the votes between every two contenders, the one with more of them first; empty for two contenders."""
+    winners: dict[tuple[str, ...], list[str | None]] = defaultdict(list)
+    for vote in votes:
+        labels = tuple(sorted(side.label for side in vote.sides))
+        winners[labels].append(None if vote.winner is None else vote.winner.label)
+    found = []
+    for labels, won in winners.items():
+        first, second = sorted(labels, key=won.count, reverse=True)
+        decided = len(won) - won.count(None)
+        found.append(Matchup((first, second), Share(won.count(first), decided), won.count(None)))
+    return sorted(found, key=lambda matchup: matchup.labels) if len(found) > 1 else []
+
+
 def agreements(votes: Iterable[Vote], runs: Mapping[str, Run]) -> list[Agreement]:
     """Return, for every figure that has a better direction, in how many decided votes the better run's picture won.
 
@@ -246,7 +269,7 @@ def counted_votes(works: Sequence[WorkFolder], files: Sequence[Path], out: Path)
         elif fields[side.title][1].digest != side.field:
             gaps.append(Gap(side.title, "It was rebuilt after the vote; its figures are left out."))
             runs.pop(side.title, None)
-    tables, agreed = standings(votes, runs), agreements(votes, runs)
+    tables, between, agreed = standings(votes, runs), matchups(votes), agreements(votes, runs)
     content = {
         "votes": len(votes),
         "files": len(files),
@@ -258,6 +281,10 @@ def counted_votes(works: Sequence[WorkFolder], files: Sequence[Path], out: Path)
             ]
             for group, rows in tables.items()
         },
+        "matchups": [
+            {"contender": one.labels[0], "against": one.labels[1], **_numbers(one.won), "same": one.same}
+            for one in between
+        ],
         "agreement": [{"metric": one.label, **_numbers(one.agreed)} for one in agreed],
         "missing": [asdict(gap) for gap in gaps],
     }  # fmt: skip
@@ -267,6 +294,7 @@ def counted_votes(works: Sequence[WorkFolder], files: Sequence[Path], out: Path)
         "votes.html",
         summary=f"{len(votes)} votes from {people}.",
         tables=tables,
+        matchups=between,
         columns=[(BY_KEY[key], _label(key, tables)) for key in shown],
         agreements=agreed,
         gaps=gaps,

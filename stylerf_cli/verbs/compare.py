@@ -120,6 +120,10 @@ def _votes(files: list[Path], works: list[WorkFolder], out: Path, session: Sessi
     for group, rows in content["standings"].items():
         lines.append(f"{group}:")
         lines += [f"  {row['contender']}: won {_share(row)}, {row['same']} the same" for row in rows]
+    if content["matchups"]:
+        lines.append("head to head:")
+    lines += [f"  {one['contender']} against {one['against']}: won {_share(one)}, {one['same']} the same"
+              for one in content["matchups"]]  # fmt: skip
     if content["agreement"]:
         lines.append("votes for the run with the better figure:")
     lines += [f"  {one['metric']}: {_share(one)}" for one in content["agreement"]]

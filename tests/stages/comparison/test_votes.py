@@ -8,7 +8,7 @@ import pytest
 
 from schemas.errors import BadInput
 from stages.comparison.runs import STYLIZATIONS, Run, RunMetric
-from stages.comparison.votes import EVERYWHERE, Share, Side, Vote, agreements, read_votes, standings
+from stages.comparison.votes import EVERYWHERE, Matchup, Share, Side, Vote, agreements, matchups, read_votes, standings
 
 PAGE = "ab" * 32
 NAMES = ("arf", "snerf")
@@ -140,6 +140,22 @@ def test_groups_are_counted_apart_and_together_best_first():
     totals = [sum(row.won.successes for row in tables[group] if row.label == "a") for group in tables]
     assert totals[0] + totals[1] == totals[2] and all(row.won.decided == 30 for row in tables["scene 0"])
     assert [*standings(votes[::2], {})] == ["scene 0"]  # one group needs no total
+
+
+def test_duels_are_between_two_contenders_over_all_groups():
+    def chosen(group, first, second, winner):
+        sides = (side(first, group), side(second, group))
+        return Vote(next((one for one in sides if one.label == winner), None), sides)
+
+    votes = [
+        chosen("x", "a", "b", "b"),
+        chosen("y", "b", "a", "b"),
+        chosen("y", "a", "b", "a"),
+        chosen("x", "b", "a", None),
+        chosen("x", "c", "a", None),
+    ]
+    assert matchups(votes) == [Matchup(("a", "c"), Share(0, 0), 1), Matchup(("b", "a"), Share(2, 3), 1)]
+    assert matchups(votes[:4]) == []  # the standings say the same
 
 
 def run_with(title: str, **metrics: tuple[float, str]) -> Run:

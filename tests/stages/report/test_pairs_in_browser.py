@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stages.comparison.votes import Agreement, Share, Standing
+from stages.comparison.votes import Agreement, Matchup, Share, Standing
 from stages.evaluation.metric_definitions import BY_KEY
 from stages.report.contact_sheet import Picture, encoded_picture
 from stages.report.pages import render_page
@@ -42,6 +42,7 @@ def page_of_votes() -> str:
             Standing("snerf <b>", Share(0, 0), 2, {})]  # fmt: skip
     return render_page(
         "votes.html", summary="12 votes.", tables={"fern, starry.jpg": rows, "all": rows},
+        matchups=[Matchup(("arf", "snerf"), Share(7, 10), 2)],
         columns=[(BY_KEY["sifid"], "SIFID-style distance, st-vgg16, conv2_2"), (BY_KEY["speckle"], "Speckle")],
         agreements=[Agreement("SIFID-style distance", Share(7, 10))], gaps=[{"what": "a/b", "why": "It is gone."}],
     )  # fmt: skip
