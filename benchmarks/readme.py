@@ -419,19 +419,20 @@ def votes() -> str:
         return ""
     report = result("votes.json")
     lines = ["| scene, painting | method | preferred | share (95 %) |", "|---|---|---|---|"]
-    for row in report["rows"]:
-        share = f"{row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
-        lines.append(f"| {row['group']} | {row['contender']} | {row['won']} of {row['decided']} | {share} |")
+    lines += [f"| {row['group']} | {row['contender']} | {_votes_won(row)} |" for row in report["rows"]]
     if report["matchups"]:
         lines += ["", "| method | against | preferred | share (95 %) |", "|---|---|---|---|"]
-    for row in report["matchups"]:
-        share = f"{row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
-        lines.append(f"| {row['contender']} | {row['against']} | {row['won']} of {row['decided']} | {share} |")
+    lines += [f"| {row['contender']} | {row['against']} | {_votes_won(row)} |" for row in report["matchups"]]
     lines += ["", "| figure | agrees with the votes | share (95 %) |", "|---|---|---|"]
-    for one in report["agreement"]:
-        share = f"{one['share']:.2f} ({one['low']:.2f} to {one['high']:.2f})"
-        lines.append(f"| {one['metric']} | {one['won']} of {one['decided']} | {share} |")
+    lines += [f"| {one['metric']} | {_votes_won(one)} |" for one in report["agreement"]]
     return "\n".join([*lines, "", f"{report['votes']} votes. {where(report)}"])
+
+
+def _votes_won(row: dict) -> str:
+    """Two cells: the votes won of those decided, and their share with its interval."""
+    if not row["decided"]:
+        return "0 of 0 | –"
+    return f"{row['won']} of {row['decided']} | {row['share']:.2f} ({row['low']:.2f} to {row['high']:.2f})"
 
 
 def _mean_and_spread(value: dict | None) -> str:

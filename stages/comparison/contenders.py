@@ -4,7 +4,7 @@ import shlex
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from schemas.work_folder import Artifact, WorkFolder, newest
 from stages.artifacts.style_images import read_colors
 from stages.comparison.runs import STYLIZATIONS, Gap, Run, scene_behind
 from stages.configs.evaluate import EvaluateConfig
+from stages.configs.stylize import CONFIGS
 from stages.evaluation.perceptual_metrics import style_file
 from stages.evaluation.test_views import FrameViews, SceneViews
 
@@ -99,8 +100,11 @@ def labels_of(runs: Sequence[tuple[Run, Mapping]]) -> list[str]:
     labels = []
     for run, config in runs:
         varying = [key for key in keys[run.method] if len(values[run.method, key]) > 1 and key != "method"]
-        # An option that a run lacks, or that is empty, appears only in the labels of others.
-        given = [f"{key.replace('_', '-')} {config[key]}" for key in varying if config.get(key) not in (None, "")]
+        # An option that a run lacks, or that has its default, appears only in the labels of others.
+        kind = CONFIGS.get(run.method)
+        usual = {item.name: item.default for item in fields(kind)} if kind else {}
+        given = [f"{key.replace('_', '-')} {config[key]}" for key in varying
+                 if config.get(key) not in (None, "", usual.get(key))]  # fmt: skip
         labels.append(", ".join([run.method, *given]))
     places = [(run.group, label) for (run, _), label in zip(runs, labels, strict=True)]
     return [

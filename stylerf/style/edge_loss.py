@@ -62,54 +62,70 @@ def blank_weights(found: Tensor, length: Tensor) -> Tensor:
     return PAINTED + (1 - PAINTED) * blank
 
 
-def gradient_lengths(picture: Tensor, alpha: Tensor | None = None) -> Tensor:
-    """Return the lengths of the luma gradient, [h // GRAIN_CELL, w // GRAIN_CELL], of an image [3, h, w].
+def gradient_lengths(picture: Tensor, alpha: Tensor | None = None, cell: int = GRAIN_CELL) -> Tensor:
+    """Return the lengths of the luma gradient, [h // cell, w // cell], of an image [3, h, w].
 
     alpha: [h, w]; lengths are nan where a cell is mostly transparent.
     """
-    lengths = torch.linalg.vector_norm(luma_gradient(picture, GRAIN_CELL), dim=0)
-    if alpha is None:
-        return lengths
-    return lengths.where(F.avg_pool2d(alpha[None], GRAIN_CELL)[0] > 0.5, torch.nan)
+    lengths = torch.linalg.vector_norm(luma_gradient(picture, cell), dim=0)
+    return lengths if alpha is None else lengths.where(F.avg_pool2d(alpha[None], cell)[0] > 0.5, torch.nan)
 
 
 def quantiles(lengths: Tensor) -> Tensor:
     """Return quantiles 0 to HIGHEST of lengths [h, w], [RANKS], without nan; nan if there is nothing else."""
+    if not lengths.numel():
+        return lengths.new_full((RANKS,), torch.nan)
     step = ceil(sqrt(max(1.0, lengths.numel() / SAMPLES)))
-    return torch.nanquantile(lengths[::step, ::step], torch.linspace(0, HIGHEST, RANKS, device=lengths.device))
+    return torch.nanquantile(lengths[::step, ::step], torch.linspace(0, HIGHEST, RANKS).to(lengths))
 
 
 @torch.no_grad()
-def style_gradients(style_image: Tensor) -> Tensor:
+def style_gradients(style_image: Tensor, cell: int) -> Tensor:
     """Return quantiles of a style image's gradients, [RANKS]; inf for an image without edges, to limit nothing.
 
     Args:
         style_image: [3 or 4, h, w], scaled; a fourth channel is alpha.
+        cell: Side of the cells, pixels.
     """
-    found = quantiles(gradient_lengths(style_image[:3], style_image[3] if len(style_image) == 4 else None))
+    found = quantiles(gradient_lengths(style_image[:3], style_image[3] if len(style_image) == 4 else None, cell))
     return found if float(found[-1]) > PLAIN else torch.full_like(found, torch.inf)
+
+
+@torch.no_grad()
+def limited_lengths(lengths: Tensor, style: Tensor) -> Tensor:
+    """Return gradient lengths [h, w], shortened to a style image's of the same rank; style: see style_gradients().
+
+    If the strongest are stronger than the style image's, the latter are scaled until HIGHEST agrees: flat planes
+    between hard edges have few gradients of middling length at any contrast. Those beyond HIGHEST, and nan, stay.
+    """
+    own = quantiles(lengths)
+    wanted = torch.minimum(own, style * (own[-1] / style[-1]).clamp_min(1))
+    above = torch.searchsorted(own, lengths).clamp(1, RANKS - 1)
+    low, high = own[above - 1], own[above]
+    part = ((lengths - low) / (high - low).clamp_min(1e-6)).clamp(0, 1)
+    return torch.where(lengths < own[-1], torch.lerp(wanted[above - 1], wanted[above], part), lengths)
+
+
+def possible_edges(edges: Tensor, style: Tensor) -> Tensor:
+    """Shorten a photo's edges, [2, h, w], so that missing_edges() asks for none that the style image does not have.
+
+    style: See style_gradients(), with EDGE_CELL.
+    """
+    enough = EDGE_CONTRAST * torch.linalg.vector_norm(edges, dim=0)
+    return edges * (limited_lengths(enough, style) / enough.clamp_min(1e-6)).clamp_max(1)
 
 
 def grain(picture: Tensor, style: Tensor, alpha: Tensor | None = None) -> Tensor:
     """Return by how much an image's gradients exceed the style image's of the same rank, the mean over cells.
 
-    Ranks are by length. If the image has stronger edges, the style image's are scaled so that HIGHEST agrees: flat
-    planes between hard edges have few gradients of middling length at any contrast. Weaker gradients, and those beyond
-    HIGHEST, are free. This is one side of the Wasserstein distance between the distributions.
+    Weaker gradients are free: this is one side of the Wasserstein distance between the distributions of lengths, which
+    limited_lengths() scales.
 
     Args:
         picture: [3, h, w].
-        style: The style image's style_gradients().
+        style: See style_gradients(), with GRAIN_CELL.
         alpha: [h, w], coverage by the object; other cells do not count. None for 1 everywhere.
     """
     lengths = gradient_lengths(picture, alpha)
-    with torch.no_grad():
-        own = quantiles(lengths)
-        wanted = torch.minimum(own, style * (own[-1] / style[-1]).clamp_min(1))
-        above = torch.searchsorted(own, lengths).clamp(1, RANKS - 1)
-        low, high = own[above - 1], own[above]
-        part = ((lengths - low) / (high - low).clamp_min(1e-6)).clamp(0, 1)
-        allowed = torch.lerp(wanted[above - 1], wanted[above], part)
-        counted = lengths < own[-1]  # False for nan
-        total = lengths.isfinite().sum().clamp_min(1)
-    return torch.where(counted, F.relu(lengths - allowed), 0.0).sum() / total
+    excess = F.relu(lengths - limited_lengths(lengths.detach(), style))
+    return excess.nansum() / lengths.isfinite().sum().clamp_min(1)

@@ -13,7 +13,15 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from stylerf.errors import InvalidValue
-from stylerf.style.edge_loss import grain, luma_gradient, missing_edges, style_gradients
+from stylerf.style.edge_loss import (
+    EDGE_CELL,
+    GRAIN_CELL,
+    grain,
+    luma_gradient,
+    missing_edges,
+    possible_edges,
+    style_gradients,
+)
 from stylerf.style.feature_extractor import FeatureExtractor, by_block, feature_size, features, resized
 from stylerf.style.feature_matching import StyleRows, rows_of, style_rows, unit_rows
 from stylerf.style.style_features import stroke_picture, style_features
@@ -138,7 +146,7 @@ class StyleWeights:
         variation: Of the total variation.
         color: Of the mean squared difference of mean colors in CELLS cells: features hardly depend on color, which
             would otherwise drift (decision 0012).
-        structure: Of the photo's missing edges (see missing_edges()).
+        structure: Of the photo's missing edges (see missing_edges(), possible_edges()).
         grain: Of gradients beyond the style image's (see grain()).
         gram: Of gram_difference() within the style distance, in addition to the distance of single features.
     """
@@ -159,7 +167,7 @@ class StyleWeights:
 
 @dataclass(frozen=True)
 class Content:
-    """Targets from a view's photo: features by block, mean colors of cells [3, rows, columns], luma_gradient()."""
+    """Targets from a view's photo: features by block, mean colors of cells [3, rows, columns], edges."""
 
     features: dict[str, Tensor]
     colors: Tensor
@@ -259,11 +267,10 @@ class StyleObjective(FeatureLoss):
         super().__init__(extractor, weights, scale, variation, gray)
         self.around, self.diversity, self.draw = around, diversity, 0
         found = [self._features_of_style(style_image, size, style_scale, stroke, rotations, seed) for stroke in strokes]
-        if weights.grain > 0:
-            stroke = strokes[len(strokes) // 2]
-            scale = min(1.0, GRADIENT_SIDE / (max(size) * style_scale * stroke))
-            picture = scaled_style(style_image, size, scale, style_scale, stroke)
-            self.gradients = style_gradients(picture.to(self.device))
+        stroke = strokes[len(strokes) // 2]
+        shown = min(1.0, GRADIENT_SIDE / (max(size) * style_scale * stroke))
+        picture = scaled_style(style_image, size, shown, style_scale, stroke).to(self.device)
+        self.gradients = {cell: style_gradients(picture, cell) for cell in (GRAIN_CELL, EDGE_CELL)}
         # Small cutouts have no deep features.
         found = [{block: feature for block, feature in one.items() if all(block in o for o in found)} for one in found]
         # Squared features of extractors differ by orders of magnitude, so content is relative to them (decision 0010).
@@ -308,7 +315,12 @@ class StyleObjective(FeatureLoss):
     def content_of(self, photo: Tensor, window: Window = EVERYTHING) -> Content:
         """Return the targets from a photo [3, h, w], in half precision, since they are kept for every view."""
         found = {block: f.half() for block, f in self.features_of(photo, window).items()}
-        return Content(found, cell_colors(photo), luma_gradient(photo).half())
+        return Content(found, cell_colors(photo), self.edges_of(photo))
+
+    @torch.no_grad()
+    def edges_of(self, photo: Tensor) -> Tensor:
+        """Return the edges of a photo [3, h, w] to keep, [2, h', w'], in half precision."""
+        return possible_edges(luma_gradient(photo), self.gradients[EDGE_CELL]).half()
 
     def __call__(
         self,
@@ -351,7 +363,7 @@ class StyleObjective(FeatureLoss):
         parts = {"style": style_loss, "content": content_loss, "variation": variation, "color": color_loss}
         parts["structure"] = structure
         if self.weights.grain > 0:
-            parts["grain"] = grain(picture, self.gradients, alpha)
+            parts["grain"] = grain(picture, self.gradients[GRAIN_CELL], alpha)
         return weighted_sum(self.weights, parts), {name: float(part.detach()) for name, part in parts.items()}
 
 

@@ -15,7 +15,6 @@ from torch import Tensor
 from stylerf.errors import InvalidValue
 from stylerf.fields.gpu.memory import free_on
 from stylerf.rendering.ray_selection import selected_gradient, selected_pixels, spread_over_picture
-from stylerf.style.edge_loss import luma_gradient
 from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.style.image_stylization import ImageLoss
 from stylerf.style.style_loss import (
@@ -173,7 +172,7 @@ class ViewLoss:
         photo = self.to_device(self.scene.photos[view])
         colors = object_colors(photo, self.at_rest(view), self.mirror(view), background)
         wanted = alpha * colors + (1 - alpha) * self.behind
-        return replace(content, colors=cell_colors(wanted), edges=luma_gradient(wanted).half())
+        return replace(content, colors=cell_colors(wanted), edges=self.objective.edges_of(wanted))
 
 
 AROUND = 3  # feature positions beyond a moving silhouette: they show what protrudes from it or is missing

@@ -69,6 +69,8 @@ def test_two_of_the_same_name_get_that_of_their_field(contenders):
     assert labels_of(pair) == [f"arf ({run.name})", "arf (other)"]
     older = [(run, {"budget": "30s", "layers": ""}), (run, {"budget": "30s", "layers": "conv3", "coarse": 0.5})]
     assert labels_of(older) == ["arf", "arf, coarse 0.5, layers conv3"]
+    usual = [(run, {"coarse": -1.0, "budget": "2m"}), (run, {"coarse": 0.5, "budget": "90s"})]
+    assert labels_of(usual) == ["arf", "arf, budget 90s, coarse 0.5"]
     assert labels_of([(run, config), (replace(run, method="snerf"), config)]) == ["arf", "snerf"]
 
 

@@ -61,7 +61,7 @@ def bar(deviation: float) -> torch.Tensor:
 
 
 def test_grain_is_what_gradients_exceed_those_of_the_style_image_by():
-    clean, noisy = edge_loss.style_gradients(bar(0)), edge_loss.style_gradients(bar(0.1))
+    clean, noisy = (edge_loss.style_gradients(bar(deviation), edge_loss.GRAIN_CELL) for deviation in (0, 0.1))
     assert clean[0] == 0 < clean[-1] and (clean.diff() >= 0).all()
     assert float(edge_loss.grain(bar(0), clean)) == float(edge_loss.grain(bar(0), noisy)) == 0
     for contrast in (0.3, 3.0):
@@ -75,7 +75,7 @@ def test_grain_is_what_gradients_exceed_those_of_the_style_image_by():
 def test_grain_equals_a_comparison_of_sorted_gradients():
     style, image = bar(0.02), bar(0.1)
     ranks = np.linspace(0, edge_loss.HIGHEST, edge_loss.RANKS)
-    allowed = edge_loss.style_gradients(style)
+    allowed = edge_loss.style_gradients(style, edge_loss.GRAIN_CELL)
     found = np.sort(edge_loss.gradient_lengths(image).numpy().ravel())
     at = np.linspace(0, 1, len(found))
     scale = max(1, np.quantile(found, edge_loss.HIGHEST) / float(allowed[-1]))
@@ -87,7 +87,7 @@ def test_grain_equals_a_comparison_of_sorted_gradients():
 
 def test_less_grain_leaves_edges():
     image = bar(0.05).requires_grad_()
-    edge_loss.grain(image, edge_loss.style_gradients(bar(0))).backward()
+    edge_loss.grain(image, edge_loss.style_gradients(bar(0), edge_loss.GRAIN_CELL)).backward()
     slope = image.grad.abs().sum((0, 1))
     assert (slope[:28] > 0).all() and (slope[34:58] > 0).all()
     steeper = image.detach() - 1e3 * image.grad
@@ -98,7 +98,7 @@ def test_less_grain_leaves_edges():
 def test_grain_counts_only_within_the_object():
     alpha = torch.zeros(64, 96)
     alpha[:, :64] = 1
-    allowed = edge_loss.style_gradients(torch.cat([bar(0), alpha[None]]))
+    allowed = edge_loss.style_gradients(torch.cat([bar(0), alpha[None]]), edge_loss.GRAIN_CELL)
     mixed = torch.cat([bar(0)[:, :, :66], bar(0.2)[:, :, 66:]], dim=2)  # cells are compared with the next
     assert float(edge_loss.grain(mixed, allowed)) > 0.01
     assert float(edge_loss.grain(mixed, allowed, alpha)) == pytest.approx(0, abs=1e-6)
@@ -107,6 +107,22 @@ def test_grain_counts_only_within_the_object():
 
 def test_a_style_image_without_edges_says_nothing_of_grain():
     for plain in (torch.full((3, 64, 96), 0.5), torch.cat([bar(0), torch.zeros(1, 64, 96)])):
-        allowed = edge_loss.style_gradients(plain)
+        allowed = edge_loss.style_gradients(plain, edge_loss.GRAIN_CELL)
         assert allowed.isinf().all()
         assert float(edge_loss.grain(bar(0.1), allowed)) == pytest.approx(0, abs=1e-6)
+
+
+def test_edges_are_wanted_only_as_far_as_the_style_image_has_such():
+    photo = edge_loss.luma_gradient(bar(0.1))
+    found = {}
+    for deviation in (0, 0.02, 0.3):
+        style = edge_loss.style_gradients(bar(deviation), edge_loss.EDGE_CELL)
+        found[deviation] = edge_loss.possible_edges(photo, style)
+    lengths = {key: torch.linalg.vector_norm(edges, dim=0) for key, edges in found.items()}
+    weak = lengths[0.3] < 0.15
+    torch.testing.assert_close(found[0.3], photo)  # a rough style image has them all
+    medians = [float(lengths[deviation][weak].median()) for deviation in (0, 0.02, 0.3)]
+    assert 0 == medians[0] < medians[1] < medians[2]
+    torch.testing.assert_close(found[0][:, lengths[0.3] > 0.6], photo[:, lengths[0.3] > 0.6])  # hard edges stay
+    everything = edge_loss.style_gradients(torch.zeros(3, 64, 96), edge_loss.EDGE_CELL)
+    torch.testing.assert_close(edge_loss.possible_edges(photo, everything), photo)

@@ -6,7 +6,7 @@ import torch
 
 from stylerf.errors import InvalidValue
 from stylerf.style import style_loss
-from stylerf.style.edge_loss import grain, luma_gradient, missing_edges
+from stylerf.style.edge_loss import GRAIN_CELL, grain, luma_gradient, missing_edges
 from stylerf.style.feature_extractor import by_block, fitted, resized
 from stylerf.style.feature_matching import StyleRows, style_rows, unit_rows
 from stylerf.style.style_loss import (
@@ -397,7 +397,7 @@ def test_grain_is_part_of_the_loss_where_it_has_a_weight():
     bar[:, :, 11:25] = 1
     made = StyleObjective(small_trunk("conv2"), bar, (HEIGHT, WIDTH), StyleWeights(0, 0, 0, 0, grain=2.0))
     loss, parts = made(image, None)
-    expected = float(grain(image, made.gradients))
+    expected = float(grain(image, made.gradients[GRAIN_CELL]))
     assert float(loss) == pytest.approx(2 * expected, rel=1e-6) and parts["grain"] == pytest.approx(expected)
     assert expected > 0 and made.weights.need_photo is False
 
