@@ -11,12 +11,12 @@ from stylerf.srgb import LUMA
 EDGE_CELL = 4  # pixels; finer edges would mostly be grain
 EDGE_CONTRAST = 0.5  # fraction of an edge's contrast that is enough (decision 0068)
 EDGE_AREA = 5  # cells per side in which contrast is compared
+PAINTED = 0.25  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
 GRAIN_CELL = 2  # pixels
 RANKS = 33  # quantiles of gradients, evenly spaced up to HIGHEST
 HIGHEST = 0.98
 PLAIN = 0.02  # of luma; style images with weaker gradients have no edges to compare with
 SAMPLES = 16384  # cells of an image that quantiles are taken of
-PAINTED = 0.25  # weight of a missing edge where strokes have at least the photo's contrast (decision 0069)
 
 
 def luma_gradient(picture: Tensor, cell: int = EDGE_CELL) -> Tensor:
