@@ -61,6 +61,7 @@ DEFORM_RATES = {True: 6e-2, False: 2.4e-2}  # of captures and of objects, whose 
 DEFORMED_OBJECT = {"content_weight": 0.02, "color_weight": 1.0, "coarse": 0.6}
 # Of transport, for captures and for objects: edges that may not move do not bend (decisions 0050, 0054).
 DEFORMED_STRUCTURE = {True: 4.0, False: 2.0}
+DEFORMED_GRAIN = 1.0  # more takes strokes from shapes that give way (decision 0070)
 KEPT_COLORS = {"color_weight": 10.0}  # the photos have the desired colors
 # Ref-NPR: content 5e-3 where ARF has 1e-3, coarse colors 5.
 # A view follows its reference, not the photo's edges or the style image.
@@ -206,7 +207,8 @@ def settings_of(
     if isinstance(config, DesrfConfig) and not opaque_background:
         defaults = defaults | DEFORMED_OBJECT
     if isinstance(config, DesrfConfig) and loss == "transport":
-        defaults = defaults | {"structure_weight": DEFORMED_STRUCTURE[opaque_background]}
+        structure = DEFORMED_STRUCTURE[opaque_background]
+        defaults = defaults | {"structure_weight": structure, "grain_weight": DEFORMED_GRAIN}
     if isinstance(config, RefNprConfig):
         defaults = defaults | REFERENCE
     if config.keep_colors:

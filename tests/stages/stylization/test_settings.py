@@ -100,6 +100,9 @@ def test_transport_leaves_out_deep_layers_after_the_coarse_steps_unless_told(met
 def test_grain_counts_where_features_are_transported():
     for options, expected in (({}, 4.0), ({"match_by": "nearest"}, 0.0), ({"grain_weight": 1.0}, 1.0)):
         assert settings_of(ArfConfig(style="x", **options), 800, True).weights.grain == expected
+    deformed = [settings_of(DesrfConfig(style="x"), 800, capture).weights.grain for capture in (True, False)]
+    assert deformed == [1.0, 1.0]
+    assert settings_of(DesrfConfig(style="x", match_by="nearest"), 800, True).weights.grain == 0
 
 
 def test_edges_of_a_deformed_object_weigh_less():
