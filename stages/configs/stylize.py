@@ -56,7 +56,7 @@ class StylizeConfig:
         -1.0, help="weight of the Gram matrix loss within the style distance (-1: 2; nearest: 0)"
     )
     grain_weight: float = option(
-        -1.0, help="weight of the loss of grain that the style image lacks (-1: 4; desrf: 1; nearest, gram: 0)"
+        -1.0, help="weight of the loss of grain beyond the style image's (-1: 4; desrf: 1; nearest, gram: 0)"
     )
     stroke: float = option(1.0, help="stroke size relative to the default, 0.25 to 4")
     stroke_by_depth: bool = option(

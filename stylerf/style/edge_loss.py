@@ -1,4 +1,4 @@
-"""Losses on the edges of a stylized view: those of the photo that are missing, and grain that a style image lacks."""
+"""Losses on the edges of a stylized view: missing edges of the photo, and grain beyond the style image's."""
 
 from math import ceil, sqrt
 

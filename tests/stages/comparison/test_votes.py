@@ -142,7 +142,7 @@ def test_groups_are_counted_apart_and_together_best_first():
     assert [*standings(votes[::2], {})] == ["scene 0"]  # one group needs no total
 
 
-def test_duels_are_between_two_contenders_over_all_groups():
+def test_matchups_are_between_two_contenders_over_all_groups():
     def chosen(group, first, second, winner):
         sides = (side(first, group), side(second, group))
         return Vote(next((one for one in sides if one.label == winner), None), sides)
@@ -155,7 +155,7 @@ def test_duels_are_between_two_contenders_over_all_groups():
         chosen("x", "c", "a", None),
     ]
     assert matchups(votes) == [Matchup(("a", "c"), Share(0, 0), 1), Matchup(("b", "a"), Share(2, 3), 1)]
-    assert matchups(votes[:4]) == []  # the standings say the same
+    assert matchups(votes[:4]) == []  # the votes by contender are the same numbers
 
 
 def run_with(title: str, **metrics: tuple[float, str]) -> Run:

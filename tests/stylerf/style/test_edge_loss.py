@@ -1,4 +1,4 @@
-"""Missing edges of the photo, and grain that a style image lacks."""
+"""Missing edges of the photo, and grain beyond the style image's."""
 
 import numpy as np
 import pytest
