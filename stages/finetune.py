@@ -27,7 +27,7 @@ from stylerf.training.backends import finetune_engine, style_backend
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=4, writes="field", parallel=True)
+SPEC = Spec(stage="finetune", verb="finetune", revision=5, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight above which a sample is treated as seen
 MARGIN = 2  # cells: samples in front of a surface, where its color is also looked up
 
@@ -60,7 +60,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         density_factor=density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
-        smoothness=SMOOTHNESS[scene.layout],
+        smoothness=SMOOTHNESS,
         near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)

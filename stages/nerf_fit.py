@@ -43,7 +43,7 @@ from stylerf.training.fit.settings import (
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=20, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=21, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -227,7 +227,7 @@ def _smoothness(config: FitConfig, scene: SceneData) -> float:
     if config.smoothness >= 0:
         return config.smoothness
     few = ENOUGH_PHOTOS / len(scene.splits["train"]) if scene.layout == "forward" else 1.0
-    return SMOOTHNESS[scene.layout] * max(1.0, few)
+    return SMOOTHNESS * max(1.0, few)
 
 
 def _is_brief(seconds: float, steps: int) -> bool:
