@@ -60,7 +60,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         density_factor=density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
-        smoothness=SMOOTHNESS,
+        smoothness=SMOOTHNESS[scene.layout],
         near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)

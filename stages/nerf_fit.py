@@ -227,7 +227,7 @@ def _smoothness(config: FitConfig, scene: SceneData) -> float:
     if config.smoothness >= 0:
         return config.smoothness
     few = ENOUGH_PHOTOS / len(scene.splits["train"]) if scene.layout == "forward" else 1.0
-    return SMOOTHNESS * max(1.0, few)
+    return SMOOTHNESS[scene.layout] * max(1.0, few)
 
 
 def _is_brief(seconds: float, steps: int) -> bool:

@@ -11,8 +11,8 @@ FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
 # By layout, against haze (docs/decisions/0047).
 DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
 MIN_CELL_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
-# Weight of the total variation, whenever density is trained (docs/decisions/0011, 0071).
-SMOOTHNESS = 1e-3
+# By layout, whenever density is trained (docs/decisions/0011, 0071).
+SMOOTHNESS = {"object": 3e-3, "forward": 1e-3, "unbounded": 3e-3}
 # Of a forward-facing capture; one of fewer is smoothed more, in proportion (docs/decisions/0062).
 ENOUGH_PHOTOS = 50
 NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus
@@ -68,7 +68,7 @@ class FitConfig:
     smoothness: float = advanced(
         -1.0,
         "regularization",
-        help="weight of the total variation (-1: 0.001, more in forward-facing captures of fewer than 50 photos)",
+        help="weight of the total variation (-1: by the scene's layout and number of photos)",
     )
     near_scaling_distance: float = advanced(
         -1.0,
