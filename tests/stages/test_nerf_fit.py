@@ -87,7 +87,7 @@ def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():
         return density
 
     assert [smoothness("forward", photos) for photos in (10, 25, 50, 200)] == pytest.approx([5e-3, 2e-3, 1e-3, 1e-3])
-    assert smoothness("unbounded", 10) == 1e-3 and smoothness("object", 10) == 1e-4
+    assert smoothness("unbounded", 10) == smoothness("object", 10) == 3e-3
     assert smoothness("forward", 10, smoothness=0.0) == 0 and smoothness("forward", 10, smoothness=0.02) == 0.02
 
 
