@@ -16,11 +16,11 @@ from stages.configs.fit import (
     FIELD,
     MIN_CELL_WEIGHT,
     NEAR_SCALING,
-    SMOOTHNESS,
     FitConfig,
     budget_of,
     capacity_of,
     kinds_of,
+    smoothness_of,
 )
 from stages.evaluation.pose_check import pose_metrics, pose_shifts, pose_warning
 from stages.run.devices import gpu_figures, gpu_of
@@ -43,7 +43,7 @@ from stylerf.training.fit.settings import (
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=21, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=22, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -193,7 +193,6 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
     else:
         background = "white" if config.background == "auto" else config.background
     kinds = Kinds(*kinds_of(FIELD[scene.layout] if config.field == "auto" else config.field), config.head)
-    smoothness = _smoothness(config, scene)
     near = config.near_scaling_distance
     return FitSettings(
         seconds=seconds or 1.0,
@@ -201,7 +200,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         kinds=kinds,
         samples=config.samples or (GPU_SAMPLES if device else _cpu_samples(seconds)),
         rate=config.rate or RATE[scene.layout],
-        smoothness=(smoothness, smoothness),
+        smoothness=_smoothness(config, scene, kinds),
         near_scaling_distance=NEAR_SCALING[scene.layout] if near < 0 else near,
         degree=config.degree,
         min_gain=config.min_gain,
@@ -222,12 +221,16 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
     )
 
 
-def _smoothness(config: FitConfig, scene: SceneData) -> float:
-    """Return the weight of the total variation: few photos of one side say little about what is between them."""
+def _smoothness(config: FitConfig, scene: SceneData, kinds: Kinds) -> tuple[float, float]:
+    """Return the weights of the total variation (density, color).
+
+    Few photos of one side say little about what is between them.
+    """
     if config.smoothness >= 0:
-        return config.smoothness
+        return config.smoothness, config.smoothness
     few = ENOUGH_PHOTOS / len(scene.splits["train"]) if scene.layout == "forward" else 1.0
-    return SMOOTHNESS[scene.layout] * max(1.0, few)
+    density, color = (smoothness_of(kind, scene.layout) * max(1.0, few) for kind in (kinds.density, kinds.color))
+    return density, color
 
 
 def _is_brief(seconds: float, steps: int) -> bool:

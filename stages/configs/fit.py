@@ -11,11 +11,17 @@ FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
 # By layout, against haze (docs/decisions/0047).
 DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
 MIN_CELL_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
-# By layout, whenever density is trained (docs/decisions/0011, 0071).
-SMOOTHNESS = {"object": 3e-3, "forward": 1e-3, "unbounded": 3e-3}
+# Of planes and lines, and of grids, by layout, whenever density is trained (docs/decisions/0011, 0071, 0073).
+VM_SMOOTHNESS = {"object": 3e-3, "forward": 1e-3, "unbounded": 3e-3}
+GRID_SMOOTHNESS = {"object": 1e-4, "forward": 1e-3, "unbounded": 1e-3}
 # Of a forward-facing capture; one of fewer is smoothed more, in proportion (docs/decisions/0062).
 ENOUGH_PHOTOS = 50
 NEAR_SCALING = {"object": 0.0, "forward": 0.0, "unbounded": 1.0}  # 1: the cameras' median distance from their focus
+
+
+def smoothness_of(kind: str, layout: str) -> float:
+    """Return the default weight of the total variation of a part of this kind (vm, hash, voxel)."""
+    return (VM_SMOOTHNESS if kind == "vm" else GRID_SMOOTHNESS)[layout]
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,7 @@ class FitConfig:
     smoothness: float = advanced(
         -1.0,
         "regularization",
-        help="weight of the total variation (-1: by the scene's layout and number of photos)",
+        help="weight of the total variation (-1: by --field, the scene's layout and number of photos)",
     )
     near_scaling_distance: float = advanced(
         -1.0,
