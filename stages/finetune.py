@@ -13,12 +13,15 @@ from stages.artifacts.photos import bank_of, level_of
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import EARLIER, SceneData, edit_targets, load_scene
 from stages.configs.edit import FinetuneConfig
-from stages.configs.fit import NEAR_SCALING, SMOOTHNESS, budget_of
+from stages.configs.fit import NEAR_SCALING, budget_of, smoothness_of
 from stages.run.devices import gpu_figures, gpu_of
 from stages.run.progress import Context
 from stages.run.runner import Spec
 from stages.run.training_loop import resumed, run_training
+from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.packed_surface import PackedSurface, pixel_cells
+from stylerf.fields.palette_color import PaletteColor
+from stylerf.fields.protocol import ColorPart
 from stylerf.fields.radiance_field import RadianceField
 from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
@@ -27,7 +30,7 @@ from stylerf.training.backends import finetune_engine, style_backend
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=5, writes="field", parallel=True)
+SPEC = Spec(stage="finetune", verb="finetune", revision=6, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight above which a sample is treated as seen
 MARGIN = 2  # cells: samples in front of a surface, where its color is also looked up
 
@@ -60,7 +63,7 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         density_factor=density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
-        smoothness=SMOOTHNESS[scene.layout],
+        smoothness=(smoothness_of(field.density.kind, scene.layout), smoothness_of(kind_of(field.color), scene.layout)),
         near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
@@ -91,6 +94,12 @@ def _patch(
     some = [cameras[i] for i in np.unique(np.linspace(0, len(cameras) - 1, 4).round().astype(int))]
     seen = pixel_cells(_surfaces(field, some, threads, device))
     return RegionColor.create(field.color, binary_dilation(region.edit, iterations=MARGIN), seen)
+
+
+def kind_of(color: ColorPart) -> str:
+    """Return the kind (vm, hash, ...) of a color's values."""
+    trained = color.own if isinstance(color, RegionColor) else color
+    return trained.features.kind if isinstance(trained, EncodedColor | PaletteColor) else trained.kind
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], threads: int, device: str | None) -> Iterator[PackedSurface]:

@@ -80,15 +80,29 @@ def test_captures_lose_haze_and_forward_facing_ones_get_local_density(layout, ki
 
 
 def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():
-    def smoothness(layout: str, photos: int, **options) -> float:
+    def smoothness(layout: str, photos: int, **options) -> tuple[float, float]:
         scene = SimpleNamespace(**vars(SCENE) | {"layout": layout, "splits": {"train": [*range(photos)]}})
-        density, color = fit_settings(FitConfig(**options), scene, SPACES["frustum"]).smoothness
-        assert density == color
-        return density
+        return fit_settings(FitConfig(**options), scene, SPACES["frustum"]).smoothness
 
-    assert [smoothness("forward", photos) for photos in (10, 25, 50, 200)] == pytest.approx([5e-3, 2e-3, 1e-3, 1e-3])
-    assert smoothness("unbounded", 10) == smoothness("object", 10) == 3e-3
-    assert smoothness("forward", 10, smoothness=0.0) == 0 and smoothness("forward", 10, smoothness=0.02) == 0.02
+    few = [smoothness("forward", photos) for photos in (10, 25, 50, 200)]
+    assert few == [pytest.approx((weight, weight)) for weight in (5e-3, 2e-3, 1e-3, 1e-3)]
+    assert smoothness("unbounded", 10) == smoothness("object", 10) == (3e-3, 3e-3)
+    assert smoothness("forward", 10, smoothness=0.0) == (0, 0)
+    assert smoothness("forward", 10, smoothness=0.02) == (0.02, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("layout", "field", "expected"),
+    [
+        ("object", "hash", (1e-4, 1e-4)),
+        ("object", "hash+vm", (1e-4, 3e-3)),
+        ("object", "vm+voxel", (3e-3, 1e-4)),
+        ("unbounded", "voxel+vm", (1e-3, 3e-3)),
+    ],
+)
+def test_grids_are_smoothed_less_than_planes_and_lines(layout, field, expected):
+    scene = SimpleNamespace(**vars(SCENE) | {"layout": layout})
+    assert fit_settings(FitConfig(field=field), scene, SPACES["box"]).smoothness == expected
 
 
 @pytest.mark.parametrize(("space", "level_max_steps"), [("contraction", True), ("box", False)])

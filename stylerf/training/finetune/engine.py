@@ -44,7 +44,7 @@ class FineTuneSettings:
     final_rate: float = 0.05
     depth_weight: float = 1e-3
     background: float = 1.0
-    smoothness: float = 0.0
+    smoothness: tuple[float, float] = (0.0, 0.0)
     near_scaling_distance: float = 0.0
 
 
@@ -56,7 +56,7 @@ class FineTuneBatch:
         views, pixels, jitter: [n]; pixels are row-major.
         depth: [m], target depths of the first m pixels, the edited ones; 0: unconstrained.
         inside: Number of edited pixels over all processes.
-        smoothness: Weight of the total variation; 0: none in this step.
+        smoothness: Weights of the total variation (density, color); 0: none in this step.
     """
 
     views: np.ndarray
@@ -65,7 +65,7 @@ class FineTuneBatch:
     depth: np.ndarray
     inside: int
     rate: float
-    smoothness: float
+    smoothness: tuple[float, float]
 
 
 def parts_of(sums: np.ndarray, of: np.ndarray) -> dict[str, float]:
@@ -122,10 +122,10 @@ class CpuFineTuneEngine:
         within = field.color.marked if isinstance(field.color, RegionColor) else None
         to = density_to, self.color_adam.gradients
         backward(field, rendered, gradients, *to, near_scaling_distance=s.near_scaling_distance, density_within=within)
-        for part, adam, factor in self._trained():
+        for part, adam, factor, smoothness in self._trained(batch):
             # A function of the values, not of rays, so only one process adds it.
-            if batch.smoothness > 0 and self.group.first:
-                part.smooth(batch.smoothness, adam.gradients[0])
+            if smoothness > 0 and self.group.first:
+                part.smooth(smoothness, adam.gradients[0])
             self.group.add_gradients(adam.gradients)
             adam.step(batch.rate * factor)
         squares = np.square(difference).mean(1)
@@ -134,11 +134,11 @@ class CpuFineTuneEngine:
         self._last = parts_of(sums, np.array([s.rays - batch.inside, batch.inside, batch.inside]))
         return self._last
 
-    def _trained(self) -> list[tuple[Part, Adam, float]]:
-        """Return (part, its optimizer, its learning rate relative to the colors') of each trained part."""
-        color, density = (self.field.color, self.color_adam, 1.0), (self.field.density, self.density_adam)
-        factor = self.settings.density_factor
-        return [color, (*density, factor)] if factor > 0 else [color]
+    def _trained(self, batch: FineTuneBatch) -> list[tuple[Part, Adam, float, float]]:
+        """Return each trained part with its optimizer, rate relative to the colors', and weight of total variation."""
+        factor, (density, color) = self.settings.density_factor, batch.smoothness
+        colors = self.field.color, self.color_adam, 1.0, color
+        return [colors, (self.field.density, self.density_adam, factor, density)] if factor > 0 else [colors]
 
     def settle(self) -> dict[str, float]:
         """Wait for the last step; return its errors."""

@@ -87,20 +87,20 @@ class GpuFineTuneEngine:
         to = self.density_adam.gradients if moving else None, self.color_adam.gradients
         distance = s.near_scaling_distance
         field.backward(rendered, gradients, *to, near_scaling_distance=distance, density_within=self._within)
-        for part, adam, factor in self._trained():
-            if batch.smoothness > 0 and self.group.first:
-                part.smooth(batch.smoothness, adam.gradients)
+        for part, adam, factor, smoothness in self._trained(batch):
+            if smoothness > 0 and self.group.first:
+                part.smooth(smoothness, adam.gradients)
             self.group.add(adam.gradients)
             adam.step(batch.rate * factor)
         self.group.add(sums)
         self._stale = True
         return self._reports.send(batch.inside)
 
-    def _trained(self) -> list[tuple[GpuPart, GpuAdam, float]]:
-        """Return (part, its optimizer, its learning rate relative to the colors') of each trained part."""
-        color, density = (self.device_field.color, self.color_adam, 1.0), (self.device_field.density, self.density_adam)
-        factor = self.settings.density_factor
-        return [color, (*density, factor)] if factor > 0 else [color]
+    def _trained(self, batch: FineTuneBatch) -> list[tuple[GpuPart, GpuAdam, float, float]]:
+        """Return each trained part with its optimizer, rate relative to the colors', and weight of total variation."""
+        factor, (density, color) = self.settings.density_factor, batch.smoothness
+        colors = self.device_field.color, self.color_adam, 1.0, color
+        return [colors, (self.device_field.density, self.density_adam, factor, density)] if factor > 0 else [colors]
 
     def _errors(self, sums: list[float], inside: int) -> dict[str, float]:
         outside, within, depth, lost_outside, lost_inside = sums

@@ -113,6 +113,7 @@ class FineTuner:
             self.dataset.choose(others, generator, part=_overlap(own, s.rays - others, others)),
         )
         own_views, own_pixels = (np.concatenate(of_each) for of_each in zip(*drawn))
+        smoothing = SMOOTH_EVERY if self.state.step % SMOOTH_EVERY == 0 else 0
         return FineTuneBatch(
             own_views,
             own_pixels,
@@ -120,7 +121,7 @@ class FineTuner:
             depth=self.edited.depth[chosen],
             inside=inside,
             rate=s.rate * s.final_rate**self.progress,
-            smoothness=SMOOTH_EVERY * s.smoothness if self.state.step % SMOOTH_EVERY == 0 else 0.0,
+            smoothness=(smoothing * s.smoothness[0], smoothing * s.smoothness[1]),
         )
 
     def step(self) -> dict[str, float]:

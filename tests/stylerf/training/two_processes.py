@@ -49,7 +49,7 @@ def tuned(threads: int, ranks: ProcessGroup = SINGLE_PROCESS) -> dict[str, np.nd
     views, numbers = generator.integers(0, 10, 500), generator.integers(0, 576, 500)
     depth = generator.random(300, np.float32) + 1
     pixels = EditedPixels(views[:300], numbers[:300], depth, (views[300:], numbers[300:]))
-    more = {"steps": 20, "rays": 501, "depth_weight": 0.1, "smoothness": 1e-4}
+    more = {"steps": 20, "rays": 501, "depth_weight": 0.1, "smoothness": (1e-4, 1e-4)}
     tuner = FineTuner(fitter.field, fitter.dataset, pixels, FineTuneSettings(**more), 0, threads, ranks)
     tuner.run()
     return outcome(tuner)

@@ -46,7 +46,7 @@ def tuner(bank, device=None, patched=True, mapped=False, **more) -> FineTuner:
         "rate": 2e-2,
         "density_factor": 0.0,
         "depth_weight": 0.5,
-        "smoothness": 1e-3,
+        "smoothness": (1e-3, 1e-3),
         **more,
     }
     engine = finetune_engine(None if device is None else str(device))
