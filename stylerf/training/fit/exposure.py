@@ -22,7 +22,9 @@ SOLID = 0.9  # minimum alpha of a surface
 APART = 0.03  # tolerance between a point and the surface that another photo sees, relative to the distance
 ROUNDS = 20
 FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable, so nothing is done unless requested
-PLAINLY = 0.27  # standard deviation in stops from which exposures clearly differ
+# Exposures clearly differ if the standard deviation is at least this, in stops, and correcting them leaves at most this
+# fraction of the median difference between photos: wrong depth, too, looks like differences (decision 0074).
+PLAINLY, LEFT = 0.27, 0.7
 # Maps origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
 Renderer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -39,16 +41,24 @@ class Exposures:
         # Any view but the point's own.
         self.others = (self.views[:, None] + generator.integers(1, max(count, 2), (len(self.views), TRIED))) % count
 
-    def judged(self, rendered: Renderer, stops: np.ndarray) -> np.ndarray:
-        """Estimate by how many stops each photo is overexposed, [views], mean 0. stops: the current estimate."""
+    def judged(self, rendered: Renderer, stops: np.ndarray) -> tuple[np.ndarray, float]:
+        """Estimate by how many stops each photo is overexposed. stops: the current estimate.
+
+        Returns:
+            Stops [views], mean 0, and the fraction of the median difference between photos that correcting them leaves.
+        """
         points, luminance = self._surfaces(rendered, self.views, self.pixels)[:2]
         at, others, pixels = self._seen_again(points, np.isfinite(luminance))
         found, luminance_there, distance = self._surfaces(rendered, others, pixels)
         # A point is seen again if the other photo's ray ends at the same point, not at an occluder in front of it.
         apart = np.linalg.norm(found - points[at], axis=1)
         same = np.isfinite(luminance_there) & (apart < APART * distance)
+        first, second = self.views[at[same]], others[same]
         beyond = np.log2(luminance[at[same]] / luminance_there[same])
-        return balanced(len(stops), self.views[at[same]], others[same], beyond, stops)
+        found = balanced(len(stops), first, second, beyond, stops)
+        change = found - stops
+        left = np.abs(beyond - (change[first] - change[second]))
+        return found, float(np.median(left) / max(np.median(np.abs(beyond)), 1e-6)) if len(left) else 1.0
 
     def _surfaces(
         self, rendered: Renderer, views: np.ndarray, pixels: np.ndarray

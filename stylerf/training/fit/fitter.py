@@ -25,9 +25,9 @@ from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine
-from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, Exposures
+from stylerf.training.fit.exposure import FEWEST_PHOTOS, LEFT, PLAINLY, Exposures
 from stylerf.training.fit.held_out import HeldOutRays
-from stylerf.training.fit.schedule import EXPOSURE_FROM, USABLE_FROM, batch_at, rays_for, refresh_every
+from stylerf.training.fit.schedule import EXPOSURE_FROM, EXPOSURE_KNOWN, USABLE_FROM, batch_at, rays_for, refresh_every
 from stylerf.training.fit.settings import (
     CapacityLevel,
     FitSettings,
@@ -170,12 +170,14 @@ class Fitter:
         """
         first = self.state.stops is None
         before = np.zeros(len(self.dataset.cameras)) if first else np.array(self.state.stops)
-        stops = exposures.judged(self.engine.rendered, before)
+        stops, left = exposures.judged(self.engine.rendered, before)
         self.group.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
-            if self.settings.exposure == "auto" and stops.std() < PLAINLY:
-                self.state.stops = []
+            equal, clear = stops.std() < PLAINLY, self.group.of_first(left) <= LEFT
+            if self.settings.exposure == "auto" and (equal or not clear):
+                # Depth may become good enough to tell.
+                self.state.stops = [] if equal or self.progress >= EXPOSURE_KNOWN else None
                 return quality
             self.on_say(f"{differ}; correcting them to one exposure (--exposure off: do not)")
             self.state.decisions.append(f"{differ}: corrected to one")

@@ -8,6 +8,7 @@ from stylerf.training.fit.settings import FitSettings, FitState
 
 # Of the budget:
 EXPOSURE_FROM = 0.1  # earlier, a field is brighter or darker than its photos for other reasons
+EXPOSURE_KNOWN = 0.3  # from here on, exposures that do not clearly differ count as equal
 SEEN_FROM = 0.2  # from here on, cells in which rays have not seen anything for a long time are emptied
 DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6
 OPACITY_FROM = 0.25

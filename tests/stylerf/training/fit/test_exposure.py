@@ -47,11 +47,13 @@ def test_true_surfaces_tell_the_exposures():
         hit = (near < far) & (far > 0)
         return np.stack([*np.zeros((3, len(hit))), hit, np.where(hit, near, 0)], 1)
 
-    found = Exposures(bank, 0).judged(rendered, np.zeros(len(STOPS)))
+    found, left = Exposures(bank, 0).judged(rendered, np.zeros(len(STOPS)))
     np.testing.assert_allclose(found, STOPS - STOPS.mean(), atol=0.06)
+    assert left < 0.2
     # Nothing solid anywhere: nothing is reported.
-    nothing = Exposures(bank, 0).judged(lambda origins, _: np.zeros((len(origins), 5)), found)
+    nothing, left = Exposures(bank, 0).judged(lambda origins, _: np.zeros((len(origins), 5)), found)
     np.testing.assert_allclose(nothing, found, atol=1e-12)
+    assert left == 1
 
 
 def test_a_bank_takes_photos_for_what_they_would_have_shown():
@@ -100,12 +102,32 @@ def test_photos_of_one_exposure_are_taken_as_they_are(exposure):
     photos = uneven_bank(np.zeros(FEWEST_PHOTOS))
     fitter = box_fitter(40, bank=photos, exposure=exposure)
     if fitter.exposures is not None:
-        fitter.exposures.judged = lambda rendered, stops: np.linspace(-1, 1, len(stops)) * PLAINLY
+        fitter.exposures.judged = lambda rendered, stops: (np.linspace(-1, 1, len(stops)) * PLAINLY, 0.1)
     fitter.run()
     assert fitter.state.stops == (None if exposure == "off" else [])
     plain = box_fitter(40, bank=photos)
     plain.run()
     assert np.array_equal(fitter.field.color.values, plain.field.color.values)
+
+
+@pytest.mark.parametrize(("clear_at", "corrected"), [(0.0, True), (0.25, True), (0.35, False)])
+def test_differences_that_no_exposures_explain_are_judged_again_until_depth_must_be_good_enough(clear_at, corrected):
+    photos = uneven_bank(np.zeros(FEWEST_PHOTOS))
+    fitter, looks = box_fitter(40, bank=photos, exposure="auto"), []
+
+    def judged(rendered, stops):
+        looks.append(fitter.progress)
+        return np.linspace(-1, 1, len(stops)), 0.8 if fitter.progress < clear_at else 0.6
+
+    fitter.exposures.judged = judged
+    fitter.run()
+    assert bool(fitter.state.stops) == corrected
+    assert any("corrected to one" in decision for decision in fitter.state.decisions) == corrected
+    if not corrected:
+        assert len(looks) > 2 and looks[-2] < 0.3 <= looks[-1] < 0.35
+        plain = box_fitter(40, bank=photos)
+        plain.run()
+        assert np.array_equal(fitter.field.color.values, plain.field.color.values)
 
 
 def test_few_photos_are_judged_only_on_request():
@@ -118,7 +140,10 @@ def test_few_photos_are_judged_only_on_request():
 def test_a_new_look_is_neither_a_fall_nor_a_gain():
     """Looks that contradict one another, as where depth is no good: what was best is measured on the new photos."""
     fitter, looks = box_fitter(60, bank=uneven_bank(), exposure="on"), iter(range(100))
-    fitter.exposures.judged = lambda rendered, stops: (-1.0) ** next(looks) * np.linspace(-1.5, 1.5, len(stops))
+    fitter.exposures.judged = lambda rendered, stops: (
+        (-1.0) ** next(looks) * np.linspace(-1.5, 1.5, len(stops)),
+        0.1,
+    )
     fitter.run()
     assert next(looks) > 10 and fitter.state.rollbacks == 0
 
@@ -128,7 +153,7 @@ def test_every_figure_that_is_compared_moves_with_the_photos():
     fitter.run()
     state, before = fitter.state, fitter.held_out_psnr()
     state.best, state.unpruned, state.trial = 30.0, 31.0, Trial(29.0, LEVELS[0], 1000, 0.4)
-    fitter.exposures.judged = lambda rendered, stops: stops + np.linspace(0, 2, len(stops))
+    fitter.exposures.judged = lambda rendered, stops: (stops + np.linspace(0, 2, len(stops)), 0.1)
     after = fitter.balance(fitter.exposures, before)
     assert after == pytest.approx(fitter.held_out_psnr()) and abs(after - before) > 0.1
     assert np.array([state.best - 30, state.unpruned - 31, state.trial.before - 29]) == pytest.approx(after - before)
