@@ -28,7 +28,7 @@ KINDS = {
     "hash, small network": ("--field", "hash", "--head", "mlp"),
 }
 PASSES = 5
-BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378")
+BUDGET, SCENES = "60s", ("lego 200x200", "fern 504x378", "fox 270x480")
 
 
 def rays_a_second(work: Path, name: str) -> float:
