@@ -32,6 +32,8 @@ from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
 SPEC = Spec(stage="finetune", verb="finetune", revision=6, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight above which a sample is treated as seen
+# Weight of the total variation of a region's own colors: it keeps them from what is around it (decision 0073).
+REGION_SMOOTHNESS = 3e-2
 MARGIN = 2  # cells: samples in front of a surface, where its color is also looked up
 
 
@@ -63,7 +65,10 @@ def run(inputs: dict[str, Artifact], config: FinetuneConfig, partial: PartialArt
         density_factor=density_factor,
         depth_weight=config.depth_weight,
         background=level_of(background),
-        smoothness=(smoothness_of(field.density.kind, scene.layout), smoothness_of(kind_of(field.color), scene.layout)),
+        smoothness=(
+            smoothness_of(field.density.kind, scene.layout),
+            smoothness_of(kind_of(field.color), scene.layout) if whole else REGION_SMOOTHNESS,
+        ),
         near_scaling_distance=NEAR_SCALING[scene.layout],
     )
     bank = bank_of(scene, train, partial.folder, context)
@@ -98,8 +103,7 @@ def _patch(
 
 def kind_of(color: ColorPart) -> str:
     """Return the kind (vm, hash, ...) of a color's values."""
-    trained = color.own if isinstance(color, RegionColor) else color
-    return trained.features.kind if isinstance(trained, EncodedColor | PaletteColor) else trained.kind
+    return color.features.kind if isinstance(color, EncodedColor | PaletteColor) else color.kind
 
 
 def _surfaces(field: RadianceField, cameras: list[Camera], threads: int, device: str | None) -> Iterator[PackedSurface]:

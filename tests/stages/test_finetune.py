@@ -1,4 +1,4 @@
-"""Which weight of the total variation the colors of a local edit get."""
+"""Which kind of values the colors have that a fine-tuning smooths."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from stages.finetune import kind_of
 from stylerf.fields.encoded_color import EncodedColor
 from stylerf.fields.palette_color import PaletteColor
 from stylerf.fields.protocol import Capacity
-from stylerf.fields.region_color import RegionColor
 from tests.stylerf.small import hash_color, vm_color
 
 
@@ -28,8 +27,7 @@ def palette() -> PaletteColor:
         (encoded("vm"), "vm"),
         (encoded("hash"), "hash"),
         (palette(), "hash"),
-        (RegionColor.create(vm_color(0), np.ones((8, 8, 8), bool), 32), "hash"),
     ],
 )
-def test_a_region_has_a_grid_of_its_own_whatever_the_colors_beneath(color, expected):
+def test_colors_are_smoothed_by_the_kind_of_their_values(color, expected):
     assert kind_of(color) == expected
