@@ -22,9 +22,9 @@ SOLID = 0.9  # minimum alpha of a surface
 APART = 0.03  # tolerance between a point and the surface that another photo sees, relative to the distance
 ROUNDS = 20
 FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable, so nothing is done unless requested
-# Exposures clearly differ if the standard deviation is at least this, in stops, and correcting them leaves at most this
-# fraction of the median difference between photos: wrong depth, too, looks like differences (decision 0074).
-PLAINLY, LEFT = 0.27, 0.7
+# Exposures clearly differ if their standard deviation, in stops, is at least PLAINLY, and correcting them leaves at most
+# UNEXPLAINED of the median difference between photos: wrong depth also makes photos differ (decision 0074).
+PLAINLY, UNEXPLAINED = 0.27, 0.7
 # Maps origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
 Renderer = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -55,10 +55,10 @@ class Exposures:
         same = np.isfinite(luminance_there) & (apart < APART * distance)
         first, second = self.views[at[same]], others[same]
         beyond = np.log2(luminance[at[same]] / luminance_there[same])
-        found = balanced(len(stops), first, second, beyond, stops)
-        change = found - stops
+        estimate = balanced(len(stops), first, second, beyond, stops)
+        change = estimate - stops
         left = np.abs(beyond - (change[first] - change[second]))
-        return found, float(np.median(left) / max(np.median(np.abs(beyond)), 1e-6)) if len(left) else 1.0
+        return estimate, float(np.median(left) / max(np.median(np.abs(beyond)), 1e-6)) if len(left) else 1.0
 
     def _surfaces(
         self, rendered: Renderer, views: np.ndarray, pixels: np.ndarray

@@ -25,7 +25,7 @@ from stylerf.training.common.process_group import SINGLE_PROCESS, ProcessGroup
 from stylerf.training.common.ray_dataset import RayDataset
 from stylerf.training.fit.capacity_search import ROUNDING_PSNR, CapacitySearch
 from stylerf.training.fit.engine import Batch, CpuEngine
-from stylerf.training.fit.exposure import FEWEST_PHOTOS, LEFT, PLAINLY, Exposures
+from stylerf.training.fit.exposure import FEWEST_PHOTOS, PLAINLY, UNEXPLAINED, Exposures
 from stylerf.training.fit.held_out import HeldOutRays
 from stylerf.training.fit.schedule import EXPOSURE_FROM, EXPOSURE_KNOWN, USABLE_FROM, batch_at, rays_for, refresh_every
 from stylerf.training.fit.settings import (
@@ -170,11 +170,11 @@ class Fitter:
         """
         first = self.state.stops is None
         before = np.zeros(len(self.dataset.cameras)) if first else np.array(self.state.stops)
-        stops, left = exposures.judged(self.engine.rendered, before)
+        stops, unexplained = exposures.judged(self.engine.rendered, before)
         self.group.take_first(stops)
         if first:
             differ = f"photos differ in exposure by {stops.std():.2f} stops (standard deviation)"
-            equal, clear = stops.std() < PLAINLY, self.group.of_first(left) <= LEFT
+            equal, clear = stops.std() < PLAINLY, self.group.of_first(unexplained) <= UNEXPLAINED
             if self.settings.exposure == "auto" and (equal or not clear):
                 # Depth may become good enough to tell.
                 self.state.stops = [] if equal or self.progress >= EXPOSURE_KNOWN else None
