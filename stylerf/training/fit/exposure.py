@@ -22,7 +22,7 @@ SOLID = 0.9  # minimum alpha of a surface
 APART = 0.03  # tolerance between a point and the surface that another photo sees, relative to the distance
 ROUNDS = 20
 FEWEST_PHOTOS = 12  # with fewer, depth is too unreliable, so nothing is done unless requested
-# Exposures clearly differ if their standard deviation, in stops, is at least PLAINLY, and correcting them leaves at most
+# Exposures clearly differ if their standard deviation, in stops, is at least PLAINLY and correcting them leaves at most
 # UNEXPLAINED of the median difference between photos: wrong depth also makes photos differ (decision 0074).
 PLAINLY, UNEXPLAINED = 0.27, 0.7
 # Maps origins and directions [n, 3] to premultiplied color, alpha and distance [n, 5].
