@@ -16,6 +16,7 @@ from stages.configs.fit import (
     FIELD,
     MIN_CELL_WEIGHT,
     NEAR_SCALING,
+    OVERSHOOT,
     FitConfig,
     budget_of,
     capacity_of,
@@ -43,7 +44,7 @@ from stylerf.training.fit.settings import (
     levels_for,
 )
 
-SPEC = Spec(stage="nerf_fit", verb="fit", revision=22, writes="field", parallel=True)
+SPEC = Spec(stage="nerf_fit", verb="fit", revision=23, writes="field", parallel=True)
 GPU_SAMPLES = 262_144  # of a step: smaller ones would leave a GPU waiting for launches
 # Peak memory of the fits of benchmarks/results/kinds.json, on two threads: of the program with a batch, of a parameter
 # with its gradients, its moments and the copies that a return and a change of size need.
@@ -212,6 +213,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
         least_weight=MIN_CELL_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
+        overshoot=OVERSHOOT[scene.layout] if config.distortion_weight < 0 and config.least_weight < 0 else 1.0,
         # Each point of a capture is seen from about one direction, so its harmonics contain much of its mean color:
         # dropping them loses 5 to 12 dB, which says nothing about a field trained without them.
         prunings=tuple(name for name in FitSettings.prunings if name != "degree" or scene.layout == "object"),

@@ -38,6 +38,7 @@ from stages.stylization.settings import (
     settings_of,
     train,
 )
+from stages.stylization.view_sizes import resized_cameras
 from stages.weights.resolve import ResolvedExtractor, digests_of_files, resolve
 from stylerf.editing.edit_grid import Region
 from stylerf.errors import InvalidValue
@@ -49,7 +50,7 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.view import render_view
-from stylerf.style.feature_extractor import FeatureExtractor
+from stylerf.style.feature_extractor import FeatureExtractor, resized
 from stylerf.training.backends import style_backend
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import Arf
@@ -65,7 +66,7 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
     return digests_of_files(config) | references
 
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=25, writes="field", outside=_outside)
+SPEC = Spec(stage="stylize", verb="stylize", revision=26, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step needs besides the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 
@@ -155,15 +156,21 @@ def _problem(
 ) -> StyleProblem:
     """Return what every method receives. level: gray of the background."""
     views, threads = scene.splits["train"], torch.get_num_threads()
-    long_side = max(max(camera.width, camera.height) for camera in scene.cameras)
-    cameras = [scene.cameras[i] for i in views]
+    photographed = [scene.cameras[i] for i in views]
+    cameras = resized_cameras(photographed, config, device)
+    long_side = max(max(camera.width, camera.height) for camera in cameras)
+    if cameras != photographed:
+        context.progress.say(f"learning from views of up to {long_side} pixels a side; --max-side sets another limit")
     if field.opaque_background and region is None and isinstance(config, ArfConfig) and config.margin > 0:
         cameras += margin_cameras(cameras, config.margin)
 
     def photo(place: int) -> np.ndarray:
-        if place < len(views):
-            return photo_for(field, scene, views[place], level, threads)
-        return render_view(field, cameras[place], threads=threads).rgb
+        camera = cameras[place]
+        if place >= len(views):
+            return render_view(field, camera, threads=threads).rgb
+        full = photo_for(field, scene, views[place], level, threads)
+        small = resized(torch.from_numpy(full).permute(2, 0, 1), camera.height, camera.width)
+        return small.permute(1, 2, 0).contiguous().numpy()
 
     return StyleProblem(
         field=field,
@@ -206,7 +213,7 @@ def _method(
         return Snerf(StyledScene(problem, color), own)
     if not isinstance(config, RefNprConfig):
         return Arf(StyledScene(problem, color), own)
-    references = read_references(scene, config.reference)
+    references = read_references(scene, config.reference, problem.cameras)
     if not references:
         threshold = problem.settings.weight_threshold
         view = chosen_view(scene, problem.field, problem.cameras, config, threshold, problem.threads, region)

@@ -123,8 +123,13 @@ def training_view(scene: SceneData, name: str, flag: str) -> int:
     return train.index(index)
 
 
-def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np.ndarray | None]:
-    """Return the stylized pictures, [h, w, 3] sRGB 0..1 at the view's size, by position among the training views."""
+def read_references(
+    scene: SceneData, references: Sequence[str], cameras: Sequence[Camera]
+) -> dict[int, np.ndarray | None]:
+    """Return the stylized pictures, [h, w, 3] sRGB 0..1, by position among the training views.
+
+    cameras: of the training views, in the size that pictures get; others may follow.
+    """
     found: dict[int, np.ndarray | None] = {}
     for text in references:
         name, file = file_of(text)
@@ -139,7 +144,7 @@ def read_references(scene: SceneData, references: Sequence[str]) -> dict[int, np
             )
         if place in found:
             raise BadInput(f"--reference {text}: view {name} already has a reference")
-        found[place] = resized(picture, camera.height, camera.width).permute(1, 2, 0).contiguous().numpy()
+        found[place] = resized(picture, cameras[place].height, cameras[place].width).permute(1, 2, 0).contiguous().numpy()
     return found
 
 
@@ -167,7 +172,7 @@ def chosen_view(
 
 def check_references(scene: SceneData, config: RefNprConfig) -> None:
     """Raise BadInput or UsageError for invalid options before any long computation."""
-    read_references(scene, config.reference)
+    read_references(scene, config.reference, [scene.cameras[i] for i in scene.splits["train"]])
     if config.reference_view:
         training_view(scene, config.reference_view, f"--reference-view {config.reference_view}")
     if config.reference_by == "adain":

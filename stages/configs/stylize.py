@@ -9,6 +9,7 @@ from stages.configs.fit import budget_of
 from stages.configs.view_syntax import file_of
 
 COLOR_CELLS = (64, 1024)  # cells per side that the color field takes by default
+MIN_SIDE = 64  # pixels of a view: deep layers see little in a smaller one
 METHODS = ("arf", "desrf", "snerf", "refnpr", "palettenerf")
 LOSS, COLORS, GRID, LIMITS = "style loss", "colors", "color field", "safeguards"
 RAYS, SHAPES, IMAGES, REFERENCE = "rays", "deformation", "image optimization", "reference"
@@ -27,6 +28,11 @@ class StylizeConfig:
         "views; palettenerf: an editable palette, no style image. `--method NAME --help` shows a method's options",
     )
     budget: str = option("2m", help="time (60s, 2m) or number of style steps")
+    max_side: int = option(
+        -1,
+        help="limit the longer side of the views it learns from to this many pixels (0: no limit; -1: on a CPU, as "
+        "many as a budget of time allows)",
+    )
     features: str = option(
         "",
         help="feature extractor: a name or a file of VGG weights (default: first found of vgg16, hed-vgg16, st-vgg16)",
@@ -135,6 +141,8 @@ class StylizeConfig:
         if CONFIGS.get(self.method) is not type(self):
             raise ValueError(f"--method {self.method} has options of its own; give it on the command line")
         budget_of(self.budget)
+        if self.max_side != -1 and not (self.max_side == 0 or self.max_side >= MIN_SIDE):
+            raise ValueError(f"max_side must be at least {MIN_SIDE} pixels, or 0 for no limit (-1: by the budget)")
         if self.until < 0:
             raise ValueError("until must be a number of style steps, or 0")
         if not self.style and not self.references:

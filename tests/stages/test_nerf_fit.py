@@ -74,9 +74,11 @@ def test_captures_lose_haze_and_forward_facing_ones_get_local_density(layout, ki
     requested = fit_settings(FitConfig(), scene, SPACES["frustum"])
     assert (requested.kinds.density, requested.kinds.color) == (kind, "vm")
     assert (requested.least_weight > 0) == (requested.distortion > 0) == clears
+    assert requested.overshoot == (2 if layout == "unbounded" else 1)
     assert ("degree" in requested.prunings) != clears and "resolution" in requested.prunings
     given = fit_settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
     assert (given.kinds.density, given.least_weight, given.distortion) == ("voxel", 0.0, 0.3)
+    assert given.overshoot == 1
 
 
 def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():
@@ -97,7 +99,7 @@ def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():
         ("object", "hash", (1e-4, 1e-4)),
         ("object", "hash+vm", (1e-4, 3e-3)),
         ("object", "vm+voxel", (3e-3, 1e-4)),
-        ("unbounded", "voxel+vm", (1e-3, 3e-3)),
+        ("unbounded", "voxel+vm", (3e-3, 3e-3)),
     ],
 )
 def test_grids_are_smoothed_less_than_planes_and_lines(layout, field, expected):

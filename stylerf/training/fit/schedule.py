@@ -11,6 +11,7 @@ EXPOSURE_FROM = 0.1  # earlier, a field is brighter or darker than its photos fo
 EXPOSURE_KNOWN = 0.3  # from here on, exposures that do not clearly differ count as equal
 SEEN_FROM = 0.2  # from here on, cells in which rays have not seen anything for a long time are emptied
 DISTORTION_FROM, DISTORTION_FULL = 0.2, 0.6
+OVERSHOOT_UNTIL, OVERSHOOT_GONE = 0.5, 0.7
 OPACITY_FROM = 0.25
 USABLE_FROM = 0.5  # from here on, end with the best field so far instead of an error
 
@@ -24,6 +25,8 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
     """
     # Every SMOOTH_EVERY-th step, with SMOOTH_EVERY times the weight: the same on average (decision 0011).
     smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
+    # Haze goes early: what clearing takes too much of can grow again (decision 0075).
+    excess = settings.overshoot + (1 - settings.overshoot) * _rise(progress, OVERSHOOT_UNTIL, OVERSHOOT_GONE)
     return Batch(
         step=state.step,
         rays=state.rays,
@@ -37,8 +40,8 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
         near_scaling_distance=settings.near_scaling_distance,
         opacity=settings.opacity * _rise(progress, OPACITY_FROM, 1.0),
         coverage=settings.coverage if channels == 4 else 0.0,
-        distortion=settings.distortion * _rise(progress, DISTORTION_FROM, DISTORTION_FULL),
-        least_weight=settings.least_weight if progress >= SEEN_FROM else 0.0,
+        distortion=settings.distortion * excess * _rise(progress, DISTORTION_FROM, DISTORTION_FULL),
+        least_weight=settings.least_weight * excess if progress >= SEEN_FROM else 0.0,
         earlier=state.drawn,
     )
 

@@ -47,17 +47,18 @@ def test_a_view_without_a_photo_is_no_reference():
 
 
 def test_references_are_rescaled_but_other_aspect_ratios_are_refused(tmp_path):
+    views = [SimpleNamespace(width=40, height=30)] * 3
     pixels = np.zeros((60, 80, 3), np.uint8)
     pixels[:, 40:] = 255
     write_png(tmp_path / "large.png", pixels)
-    ((place, found),) = read_references(scene(), [f"d={tmp_path}/large.png"]).items()
+    ((place, found),) = read_references(scene(80, 60), [f"d={tmp_path}/large.png"], views).items()
     assert place == 2 and found.shape == (30, 40, 3) and found.dtype == np.float32
     assert (found[:, :19] == 0).all() and (found[:, 21:] == 1).all()
     write_png(tmp_path / "wide.png", pixels[:50])
     with pytest.raises(BadInput, match="80x50, but view a is 40x30"):
-        read_references(scene(), [f"a={tmp_path}/wide.png"])
+        read_references(scene(), [f"a={tmp_path}/wide.png"], views)
     with pytest.raises(BadInput, match="already has a reference"):
-        read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"])
+        read_references(scene(), [f"a={tmp_path}/large.png", f"#0={tmp_path}/large.png"], views)
 
 
 @pytest.mark.parametrize(("options", "matched"), [({}, "before"), ({"reference": ("a=x.png",)}, "none")])
