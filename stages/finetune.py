@@ -30,7 +30,7 @@ from stylerf.training.backends import finetune_engine, style_backend
 from stylerf.training.finetune.engine import FineTuneSettings
 from stylerf.training.finetune.trainer import EditedPixels, FineTuner
 
-SPEC = Spec(stage="finetune", verb="finetune", revision=6, writes="field", parallel=True)
+SPEC = Spec(stage="finetune", verb="finetune", revision=7, writes="field", parallel=True)
 SEEN = 2e-2  # fraction of a ray's largest weight above which a sample is treated as seen
 # Weight of the total variation of a region's own colors: it keeps them from what is around it (decision 0073).
 REGION_SMOOTHNESS = 3e-2

@@ -144,8 +144,12 @@ def read_references(
             )
         if place in found:
             raise BadInput(f"--reference {text}: view {name} already has a reference")
-        found[place] = resized(picture, cameras[place].height, cameras[place].width).permute(1, 2, 0).contiguous().numpy()
+        found[place] = _of_size(picture, cameras[place])
     return found
+
+
+def _of_size(picture: torch.Tensor, camera: Camera) -> np.ndarray:
+    return resized(picture, camera.height, camera.width).permute(1, 2, 0).contiguous().numpy()
 
 
 def chosen_view(

@@ -30,8 +30,8 @@ class StylizeConfig:
     budget: str = option("2m", help="time (60s, 2m) or number of style steps")
     max_side: int = option(
         -1,
-        help="limit the longer side of the views it learns from to this many pixels (0: no limit; -1: on a CPU, as "
-        "many as a budget of time allows)",
+        help="limit the longer side of the views to learn from, pixels (0: no limit; -1: on a CPU by the time in "
+        "--budget)",
     )
     features: str = option(
         "",

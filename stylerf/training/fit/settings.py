@@ -210,7 +210,7 @@ class FitSettings:
             budget, once colors have formed.
         least_weight: Weight that a sample of a training ray needs to keep its cell; cells without any for a long time
             are emptied (seen_cells.py; 0: none).
-        overshoot: Factor of both in the first half of the budget; falls to 1 (schedule.OVERSHOOT_UNTIL, OVERSHOOT_GONE).
+        overshoot: Factor of distortion and least_weight in the first half of the budget; then it falls to 1.
         exposure: on, off, or auto: correct photos to a common exposure if they clearly differ (exposure.py).
     """
 
