@@ -213,7 +213,7 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         coverage=config.coverage_weight if scene.layout == "object" else 0.0,
         distortion=DISTORTION[scene.layout] if config.distortion_weight < 0 else config.distortion_weight,
         least_weight=MIN_CELL_WEIGHT[scene.layout] if config.least_weight < 0 else config.least_weight,
-        overshoot=OVERSHOOT[scene.layout] if config.distortion_weight < 0 and config.least_weight < 0 else 1.0,
+        overshoot=_overshoot(config, scene.layout),
         # Each point of a capture is seen from about one direction, so its harmonics contain much of its mean color:
         # dropping them loses 5 to 12 dB, which says nothing about a field trained without them.
         prunings=tuple(name for name in FitSettings.prunings if name != "degree" or scene.layout == "object"),
@@ -221,6 +221,12 @@ def fit_settings(config: FitConfig, scene: SceneData, space: SpaceWarp, device: 
         exposure="off" if config.exposure == "auto" and scene.layout == "object" else config.exposure,
         **_levels_of(fixed, kinds, space, scene, brief=not device and _is_brief(seconds, steps)),
     )
+
+
+def _overshoot(config: FitConfig, layout: str) -> tuple[float, float]:
+    """Return the factors of the distortion and of the least weight; a given weight holds as it is."""
+    distortion, least = config.distortion_weight, config.least_weight
+    return 1.0 if distortion >= 0 else OVERSHOOT[layout], 1.0 if least >= 0 else OVERSHOOT[layout]
 
 
 def _smoothness(config: FitConfig, scene: SceneData, kinds: Kinds) -> tuple[float, float]:

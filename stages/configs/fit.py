@@ -11,7 +11,7 @@ FIELD = {"object": "vm", "forward": "hash+vm", "unbounded": "vm"}
 # By layout, against haze (docs/decisions/0047).
 DISTORTION = {"object": 0.0, "forward": 0.05, "unbounded": 0.01}
 MIN_CELL_WEIGHT = {"object": 0.0, "forward": 0.01, "unbounded": 0.01}
-# What multiplies both in the first half of a fit, unless one of them is given (docs/decisions/0075).
+# What multiplies each of these defaults in the first half of a fit (docs/decisions/0075).
 OVERSHOOT = {"object": 1.0, "forward": 1.0, "unbounded": 2.0}
 # Of planes and lines, and of grids, by layout, whenever density is trained (docs/decisions/0011, 0071, 0073).
 VM_SMOOTHNESS = {"object": 3e-3, "forward": 1e-3, "unbounded": 3e-3}

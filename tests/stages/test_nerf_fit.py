@@ -74,11 +74,13 @@ def test_captures_lose_haze_and_forward_facing_ones_get_local_density(layout, ki
     requested = fit_settings(FitConfig(), scene, SPACES["frustum"])
     assert (requested.kinds.density, requested.kinds.color) == (kind, "vm")
     assert (requested.least_weight > 0) == (requested.distortion > 0) == clears
-    assert requested.overshoot == (2 if layout == "unbounded" else 1)
+    assert requested.overshoot == ((2, 2) if layout == "unbounded" else (1, 1))
     assert ("degree" in requested.prunings) != clears and "resolution" in requested.prunings
     given = fit_settings(FitConfig(field="voxel", least_weight=0.0, distortion_weight=0.3), scene, SPACES["frustum"])
     assert (given.kinds.density, given.least_weight, given.distortion) == ("voxel", 0.0, 0.3)
-    assert given.overshoot == 1
+    assert given.overshoot == (1, 1)
+    one = fit_settings(FitConfig(least_weight=0.02), scene, SPACES["frustum"])
+    assert one.overshoot == (requested.overshoot[0], 1) and one.least_weight == 0.02
 
 
 def test_forward_facing_captures_are_smoothed_by_how_few_their_photos_are():

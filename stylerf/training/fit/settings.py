@@ -210,7 +210,7 @@ class FitSettings:
             budget, once colors have formed.
         least_weight: Weight that a sample of a training ray needs to keep its cell; cells without any for a long time
             are emptied (seen_cells.py; 0: none).
-        overshoot: Factor of distortion and least_weight in the first half of the budget; then it falls to 1.
+        overshoot: Factors of distortion and of least_weight in the first half of the budget; then they fall to 1.
         exposure: on, off, or auto: correct photos to a common exposure if they clearly differ (exposure.py).
     """
 
@@ -237,7 +237,7 @@ class FitSettings:
     coverage: float = 0.0
     distortion: float = 0.0
     least_weight: float = 0.0
-    overshoot: float = 1.0
+    overshoot: tuple[float, float] = (1.0, 1.0)
     exposure: str = "off"
 
 

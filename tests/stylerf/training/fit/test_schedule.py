@@ -18,7 +18,12 @@ def test_haze_is_cleared_once_colors_have_formed():
 
 
 def test_an_overshoot_is_over_before_the_end():
-    assert weights(0.4, overshoot=2.0) == (pytest.approx(0.01), 0.04)
-    assert weights(0.5, overshoot=2.0) == (pytest.approx(0.015), 0.04)
-    assert weights(0.6, overshoot=2.0) == (pytest.approx(0.015), pytest.approx(0.03))
-    assert [weights(at, overshoot=2.0) for at in (0.7, 1.0)] == [(0.01, 0.02)] * 2
+    assert weights(0.4, overshoot=(2.0, 2.0)) == (pytest.approx(0.01), 0.04)
+    assert weights(0.5, overshoot=(2.0, 2.0)) == (pytest.approx(0.015), 0.04)
+    assert weights(0.6, overshoot=(2.0, 2.0)) == (pytest.approx(0.015), pytest.approx(0.03))
+    assert [weights(at, overshoot=(2.0, 2.0)) for at in (0.7, 1.0)] == [(0.01, 0.02)] * 2
+
+
+def test_each_weight_has_its_own_overshoot():
+    assert weights(0.5, overshoot=(2.0, 1.0)) == (pytest.approx(0.015), 0.02)
+    assert weights(0.5, overshoot=(1.0, 3.0)) == (pytest.approx(0.0075), pytest.approx(0.06))
