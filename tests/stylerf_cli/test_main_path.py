@@ -12,6 +12,8 @@ from schemas.errors import UsageError
 from schemas.images import read_image, write_png
 from schemas.work_folder import WorkFolder
 from stages.pipeline.demo import refuse_others
+from stages.pipeline.demo_scene import PAINTING
+from stages.stylization import view_sizes
 from stylerf.procedural.still_life import StillLife
 from stylerf_cli.main import main
 
@@ -173,3 +175,16 @@ def test_what_cannot_be_done_is_one_line_and_its_exit_code(demo, capsys, argumen
     assert main([verb, str(demo), *rest, "--quiet"]) == code
     error = capsys.readouterr().err
     assert word in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("flags", [(), ("--max-side", "0")])
+def test_a_short_time_takes_smaller_views_and_says_so(work, photos, capsys, monkeypatch, flags):
+    monkeypatch.setattr(view_sizes, "MIN_PIXELS", 24 * 24)
+    monkeypatch.setattr(view_sizes, "PIXELS_PER_SECOND", 1)
+    style = ("--style", str(photos / PAINTING), "--refit-steps", "5", "--coarse", "0")
+    small = ("--budget", "2s", "--levels", "4", "--finest", "64", "--table-bits", "12", *flags)
+    assert main(["stylize", str(work), "--of", "fit", "--name", "short", *style, *small]) == 0
+    said = capsys.readouterr().err
+    assert ("learning from views of up to 24 pixels a side; --max-side sets" in said) == ("pixels a side" in said)
+    assert ("pixels a side" in said) == (not flags)
+    assert json.loads((work / "field/short/manifest.json").read_text())["figures"]["steps"] >= 1
