@@ -27,7 +27,7 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
     smoothing = SMOOTH_EVERY if state.step % SMOOTH_EVERY == 0 else 0
     # Haze goes early: what clearing takes too much of can grow again (decision 0075).
     over = _rise(progress, OVERSHOOT_UNTIL, OVERSHOOT_GONE)
-    distortion, least = (factor + (1 - factor) * over for factor in settings.overshoot)
+    more_distortion, more_least = (factor + (1 - factor) * over for factor in settings.overshoot)
     return Batch(
         step=state.step,
         rays=state.rays,
@@ -41,8 +41,8 @@ def batch_at(progress: float, state: FitState, settings: FitSettings, among: int
         near_scaling_distance=settings.near_scaling_distance,
         opacity=settings.opacity * _rise(progress, OPACITY_FROM, 1.0),
         coverage=settings.coverage if channels == 4 else 0.0,
-        distortion=settings.distortion * distortion * _rise(progress, DISTORTION_FROM, DISTORTION_FULL),
-        least_weight=settings.least_weight * least if progress >= SEEN_FROM else 0.0,
+        distortion=settings.distortion * more_distortion * _rise(progress, DISTORTION_FROM, DISTORTION_FULL),
+        least_weight=settings.least_weight * more_least if progress >= SEEN_FROM else 0.0,
         earlier=state.drawn,
     )
 
