@@ -75,7 +75,7 @@ def digests_of_files(config: EvaluateConfig) -> dict[str, str]:
     }
 
 
-SPEC = Spec(stage="evaluate", verb="eval", revision=11, writes="report", outside=digests_of_files)
+SPEC = Spec(stage="evaluate", verb="eval", revision=12, writes="report", outside=digests_of_files)
 STYLE_KEYS = (
     "nnfm", "gram", "judge_gram", "sifid", "palette", "palette_mean", "palette_covariance", "colorfulness",
     "color_distribution", "speckle",

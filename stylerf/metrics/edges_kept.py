@@ -21,6 +21,7 @@ from stylerf.metrics.image_quality import luminance
 SIGMA = 0.004  # of the blur before edge detection, relative to the longer side: 2 pixels of 504
 TOLERANCE = 0.006  # relative to the longer side: 3 pixels of 504
 LOW, HIGH = 0.8, 1.6  # Canny thresholds for the Sobel gradient (8 times the slope per pixel), standard deviations
+SIDE = 504  # pixels of the longer side that the thresholds hold for; of a larger image, slopes per pixel are smaller
 LEAST_SPREAD = 0.04  # minimum standard deviation of luma, so that flat images are not amplified to have edges
 BINS = 8  # of orientation, over 180 degrees; an edge matches its own bin and the two adjacent ones
 
@@ -66,7 +67,9 @@ def _edges(image: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     luma = luminance(image)
     luma = (luma - luma[mask].mean()) / max(float(luma[mask].std()), LEAST_SPREAD) if mask.any() else luma * 0
     sigma = max(1.0, SIGMA * max(luma.shape))
-    edges = canny(luma, sigma=sigma, low_threshold=LOW, high_threshold=HIGH, mask=None if mask.all() else mask)
+    slope = min(1.0, SIDE / max(luma.shape))
+    inside = None if mask.all() else mask
+    edges = canny(luma, sigma=sigma, low_threshold=LOW * slope, high_threshold=HIGH * slope, mask=inside)
     right, down = (gaussian_filter(luma, sigma, order=order) for order in ((0, 1), (1, 0)))
     bins = np.floor((np.arctan2(down, right) % np.pi) / np.pi * BINS).astype(int) % BINS
     return edges, bins

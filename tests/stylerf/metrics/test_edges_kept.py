@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter, shift
+from scipy.ndimage import gaussian_filter, shift, zoom
 
 from stylerf.errors import InvalidValue
 from stylerf.metrics.edges_kept import edges_kept
@@ -43,6 +43,14 @@ def test_edges_may_move_within_the_tolerance_only(photo):
 
     assert moved(1) > 0.97  # the tolerance of 240 pixels is 1.44
     assert moved(1) > moved(3) > moved(8) and moved(8) < 0.25
+
+
+def test_large_pictures_keep_what_small_ones_do():
+    """Slopes per pixel of a picture four times as wide are a quarter of those of the small one."""
+    photo, other = (gaussian_filter(blobs(seed, (378, 504)), (2, 2, 0)) for seed in (0, 1))
+    half = np.concatenate([photo[:, :252], other[:, 252:]], axis=1)
+    kept = [edges_kept(*(zoom(one, (times, times, 1), order=1) for one in (half, photo))) for times in (1, 4)]
+    assert 0.3 < kept[0] < 0.7 and kept[1] == pytest.approx(kept[0], abs=0.05)
 
 
 def test_half_of_the_picture_keeps_half(photo):
