@@ -14,6 +14,7 @@ from stages.artifacts.photos import level_of, photo_for
 from stages.artifacts.region import region_of_field
 from stages.artifacts.scene import SceneData, load_scene
 from stages.artifacts.style_images import (
+    at_size_of,
     chosen_view,
     decoded_reference,
     digest_of,
@@ -50,7 +51,7 @@ from stylerf.fields.region_color import RegionColor
 from stylerf.geometry.cameras import Camera
 from stylerf.kernels.cpu.compiling import compiling_note, set_threads
 from stylerf.rendering.view import render_view
-from stylerf.style.feature_extractor import FeatureExtractor, resized
+from stylerf.style.feature_extractor import FeatureExtractor
 from stylerf.training.backends import style_backend
 from stylerf.training.common.bounded_cache import BoundedCache
 from stylerf.training.stylize.arf import Arf
@@ -169,8 +170,7 @@ def _problem(
         if place >= len(views):
             return render_view(field, camera, threads=threads).rgb
         full = photo_for(field, scene, views[place], level, threads)
-        small = resized(torch.from_numpy(full).permute(2, 0, 1), camera.height, camera.width)
-        return small.permute(1, 2, 0).contiguous().numpy()
+        return at_size_of(camera, torch.from_numpy(full).permute(2, 0, 1))
 
     return StyleProblem(
         field=field,

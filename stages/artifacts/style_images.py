@@ -144,11 +144,12 @@ def read_references(
             )
         if place in found:
             raise BadInput(f"--reference {text}: view {name} already has a reference")
-        found[place] = _of_size(picture, cameras[place])
+        found[place] = at_size_of(cameras[place], picture)
     return found
 
 
-def _of_size(picture: torch.Tensor, camera: Camera) -> np.ndarray:
+def at_size_of(camera: Camera, picture: torch.Tensor) -> np.ndarray:
+    """Return a picture [3, h, w] resized to the camera's view, [height, width, 3]."""
     return resized(picture, camera.height, camera.width).permute(1, 2, 0).contiguous().numpy()
 
 
