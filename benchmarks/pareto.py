@@ -98,8 +98,8 @@ def measure(requested: argparse.Namespace, scene: str, work: str) -> list[dict]:
     ]
     for capacity, (method, rays), budget in product(requested.stylized, wanted, requested.style_budgets):
         base, name = label("fit", capacity, requested.budgets[-1]), label(method, rays, budget, "of", capacity)
-        style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--rays", rays)
-        style += ("--budget", budget, "--name", name, *requested.flags.get(method, ()))
+        style = ("stylize", work, "--of", base, "--style", painting, "--method", method, "--budget", budget)
+        style += ("--name", name, *(("--rays", rays) if method in BY_RAYS else ()), *requested.flags.get(method, ()))
         look = ("eval", work, "--of", name, "--path", PATHS.get(scene, "spiral"), "--consistency", "all")
         made(name, style, look)
     return failed

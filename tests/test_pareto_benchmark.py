@@ -37,13 +37,15 @@ def commands(monkeypatch):
 def test_every_combination_is_run_and_what_failed_is_kept(commands, tmp_path):
     out = tmp_path / "pareto.json"
     flags = ["--scenes", "lego,fern", "--capacities", "grow,fixed:64", "--budgets", "5s,10s", "--rays", "auto,dilated"]
-    flags += ["--methods", "arf,desrf", "--style-budgets", "5s", "--flags", "arf=--layers conv2", "--stylized", "grow"]
+    flags += ["--methods", "arf,desrf,snerf", "--style-budgets", "5s", "--flags", "arf=--layers conv2", "--stylized", "grow"]
     pareto.main([str(tmp_path), str(tmp_path), str(out), *flags])
     verbs = [arguments[0] for arguments in commands]
-    assert verbs.count("fit") == 2 * 2 * 2 and verbs.count("stylize") == 2 * 2 * 2
-    assert verbs.count("eval") == 8 + 4 and verbs.count("compare") == 2  # none of desrf, which failed
+    assert verbs.count("fit") == 2 * 2 * 2 and verbs.count("stylize") == 2 * (2 * 2 + 1)
+    assert verbs.count("eval") == 8 + 6 and verbs.count("compare") == 2  # none of desrf, which failed
     styled = next(arguments for arguments in commands if arguments[0] == "stylize")
     assert styled[styled.index("--of") + 1] == "fit-grow-10s" and styled[-2:] == ("--layers", "conv2")
+    snerf = next(arguments for arguments in commands if arguments[0] == "stylize" and "snerf" in arguments)
+    assert "--rays" in styled and "--rays" not in snerf  # SNeRF has no such option
     report = json.loads(out.read_text())
     assert len(report["failed"]) == 4 and "converge" in report["failed"][0]["failed"]
     assert report["rows"][0]["figures"] == {"psnr": 0.25} and report["rows"][0]["costs"]["seconds"] == 10.0
