@@ -67,7 +67,7 @@ def _outside(config: StylizeConfig) -> dict[str, str]:
     return digests_of_files(config) | references
 
 
-SPEC = Spec(stage="stylize", verb="stylize", revision=26, writes="field", outside=_outside)
+SPEC = Spec(stage="stylize", verb="stylize", revision=27, writes="field", outside=_outside)
 WORKING_BYTES = 1.5e9  # what a step needs besides the views: full-size images, the extractor's graph
 BYTES_PER_PIXEL = 60  # about, of a cached view: its photo, samples on its surfaces, features at half its size
 

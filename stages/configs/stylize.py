@@ -93,13 +93,13 @@ class StylizeConfig:
         0.0,
         LOSS,
         help="image size for features, relative to the view (0: half, at least 512 pixels if it has them; nearest, "
-        "gram: 256)",
+        "gram, and matching with refnpr's references: 256)",
     )
     coarse: float = advanced(
         -1.0,
         LOSS,
-        help="first fraction of the style steps, at half the feature scale (-1: 0.5; with nearest, gram: 0; 0.6 where "
-        "desrf deforms an object; refnpr: 0)",
+        help="first fraction of the style steps (refnpr: of those on its reference), at half the feature scale (-1: "
+        "0.5; with nearest, gram: 0; 0.6 where desrf deforms an object)",
     )
     style_rows: int = advanced(4096, LOSS, help="maximum number of style features to match")
     style_basis: int = advanced(96, LOSS, help="principal directions used to find nearest neighbors (0: all, exact)")
@@ -344,6 +344,11 @@ class RefNprConfig(ArfConfig):
     def references(self) -> tuple[str, ...]:
         return self.reference
 
+    @property
+    def optimizes_reference(self) -> bool:
+        """Whether a reference is made by optimizing its pixels; otherwise it is given, or decoded by AdaIN."""
+        return not self.reference and self.reference_by != "adain"
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.reference and self.style and self.match in ("auto", "none"):
@@ -352,10 +357,12 @@ class RefNprConfig(ArfConfig):
             raise ValueError("--reference gives the stylized views; --reference-by and --reference-view make one")
         if self.reference or self.reference_by in ("gram", "adain"):
             self._refuse_matching("--reference" if self.reference else f"--reference-by {self.reference_by}")
-        if self.reference or self.reference_by == "adain":
+        if not self.optimizes_reference:
             source = "--reference" if self.reference else "--reference-by adain"
             if self.reference_steps != RefNprConfig.reference_steps or self.image_rate != RefNprConfig.image_rate:
                 raise ValueError(f"--reference-steps and --image-rate have no effect with {source}; leave them out")
+            if self.coarse != -1:
+                raise ValueError(f"--coarse has no effect with {source}; leave it out")
         views = [file_of(text)[0] for text in self.reference]
         if len(set(views)) < len(views):
             raise ValueError(f"a view has two references: {', '.join(views)}")

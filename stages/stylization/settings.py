@@ -160,7 +160,7 @@ def match_of(config: StylizeConfig) -> str:
         return config.match
     if not isinstance(config, RefNprConfig):
         return "both"
-    return "none" if config.reference or config.reference_by == "adain" else "before"
+    return "before" if config.optimizes_reference else "none"
 
 
 def same_named(config: Any, kind: type[Settings], **others: Any) -> Settings:
@@ -179,6 +179,11 @@ def detail_rate_of(config: ArfConfig, style_image: torch.Tensor | None, long_sid
         return slowest
     rough = roughness(style_image, round(long_side * config.style_scale), config.stroke)
     return min(max(rough / ROUGH, slowest), full)
+
+
+def scale_for(side: int, long_side: int) -> float:
+    """Return the size, relative to a view, of images that features are taken of: half, or up to `side` pixels."""
+    return min(1.0, max(0.5, side / long_side))
 
 
 def weights_of(style: float, variation: float, others: Mapping[str, float]) -> StyleWeights:
@@ -210,7 +215,7 @@ def settings_of(
         structure = DEFORMED_STRUCTURE[opaque_background]
         defaults = defaults | {"structure_weight": structure, "grain_weight": DEFORMED_GRAIN}
     if isinstance(config, RefNprConfig):
-        defaults = defaults | REFERENCE
+        defaults = defaults | REFERENCE | {"coarse": of_image["coarse"] if config.optimizes_reference else 0.0}
     if config.keep_colors:
         defaults = defaults | KEPT_COLORS
     chosen = {name: getattr(config, name, -1) for name in defaults}
@@ -220,8 +225,7 @@ def settings_of(
     if config.variation_weight >= 0:
         variation_weight = config.variation_weight
     weights = weights_of(config.style_weight, variation_weight, found)
-    feature_side = FEATURE_SIDE if loss == "transport" else SMALL_VIEW
-    feature_scale = config.feature_scale or min(1.0, max(0.5, feature_side / long_side))
+    feature_scale = config.feature_scale or scale_for(FEATURE_SIDE if loss == "transport" else SMALL_VIEW, long_side)
     own: dict[str, Any] = {}
     if loss == "transport" and not own_layers(config):
         own["fine_layers"] = FINE_LAYERS
@@ -239,6 +243,7 @@ def settings_of(
         own["deform_rate"] = DEFORM_RATES[opaque_background] if config.deform_rate == -1 else config.deform_rate
     if isinstance(config, RefNprConfig):  # references are made as ARF stylizes
         own["reference_feature_weights"] = weights
+        own["reference_scale"] = config.feature_scale or scale_for(SMALL_VIEW, long_side)
         weights = weights_of(1.0, variation_weight, of_image)
     return same_named(
         config,

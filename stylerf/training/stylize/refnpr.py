@@ -10,6 +10,7 @@ The loss of a step is w (MSE of the references' pixels + MSE of registered pixel
 variation; in the last quarter of the style steps, w (...) + 0.2 style + variation.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -107,8 +108,10 @@ class RefNpr(StyleMethod[RefNprSettings]):
         self.budget = ReferenceBudget(scene, len(self.to_make))
         scene.budget = self.budget
         self._matching, self._coarse = matching_extractor, coarse_extractor
-        stride = max(one.stride for one in (extractor, matching_extractor, coarse_extractor))
-        self.loss = ViewLoss(scene, extractor, stride)
+        # ViewLoss expects strides in pixels of the images that references are made with.
+        made, matched = scene.settings.feature_scale, scene.settings.reference_scale
+        deepest = math.ceil(max(matching_extractor.stride, coarse_extractor.stride) * made / matched)
+        self.loss = ViewLoss(scene, extractor, max(extractor.stride, deepest))
         self.view_step = ViewStep(scene, self.loss_of_view, self.loss.to_device)
         self._optimized: ImageOptimization | None = None  # the reference being made
         self._objective: ReferenceObjective | None = None
@@ -237,7 +240,7 @@ class RefNpr(StyleMethod[RefNprSettings]):
                 )
                 for v, image in self.references.items()
             ]
-            options = (s.reference_feature_weights, s.feature_scale, s.style_basis, seed, s.variation)
+            options = (s.reference_feature_weights, s.reference_scale, s.style_basis, seed, s.variation)
             self._objective = ReferenceObjective(self._matching, self._coarse, pairs, *options)
         return self._objective
 
@@ -284,15 +287,15 @@ class RefNpr(StyleMethod[RefNprSettings]):
 
     def _learn_references(self, generator: np.random.Generator) -> dict[str, float]:
         """Add the gradients of a reference's pixels and of registered ones; return their mean squared errors."""
-        scene, weight = self.scene, self.scene.settings.reference_weight
+        scene, weight, most = self.scene, self.scene.settings.reference_weight, self.scene.settings.reference_pixels
         views, others, error = list(self.references), self._others, 0.0
         view = views[int(generator.integers(len(views)))]
-        own = scene.learn_image(view, self.references[view], generator, weight) or 0.0
+        own = scene.learn_image(view, self.references[view], generator, most, weight) or 0.0
         if others:
             view = others[int(generator.integers(len(others)))]
             pixels, colors = self._registered[view]
             if len(pixels):
-                chosen = drawn_evenly(scene.settings.refit_pixels, len(pixels), generator)
+                chosen = drawn_evenly(min(most, len(pixels)), len(pixels), generator)
                 error = scene.learn_pixels(view, pixels[chosen], colors[chosen], weight)
         return {"reference": own, "registered": error}
 

@@ -384,24 +384,24 @@ class StyledScene(Generic[Settings_co]):
         """Take one step of the color on a photo; return the mean squared error."""
         generator = np.random.default_rng([self.problem.seed, 2, self.state.step])
         view = self.shown[int(generator.integers(len(self.shown)))]
-        error = self.learn_image(view, self.photos[view], generator)
+        error = self.learn_image(view, self.photos[view], generator, self.settings.refit_pixels)
         if error is None:
             return {"mse": 0.0}
         self.adam.step(self.settings.refit_rate * 0.1**self.budget.progress)
         return {"mse": error}
 
     def learn_image(
-        self, view: int, image: np.ndarray, generator: np.random.Generator, weight: float = 1.0
+        self, view: int, image: np.ndarray, generator: np.random.Generator, count: int, weight: float = 1.0
     ) -> float | None:
         """Add the gradient of `weight` times the mean squared error between a view and an image [h, w, 3].
 
-        Over `refit_pixels` random covered pixels. Returns the error, or None if no pixel is covered.
+        Over at most `count` random covered pixels. Returns the error, or None if no pixel is covered.
         """
         # Pixels without coverage show only the background, so they are of no use.
         lit = np.flatnonzero(self.coverage(view).ravel() > 1e-3)
         if len(lit) == 0:
             return None
-        pixels = lit[drawn_evenly(self.settings.refit_pixels, len(lit), generator)]
+        pixels = lit[drawn_evenly(min(count, len(lit)), len(lit), generator)]
         return self.learn_pixels(view, pixels, image.reshape(-1, 3)[pixels], weight)
 
     def learn_pixels(self, view: int, pixels: np.ndarray, target: np.ndarray, weight: float = 1.0) -> float:

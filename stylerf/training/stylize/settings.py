@@ -148,14 +148,19 @@ class RefNprSettings(ArfSettings):
 
     Attributes:
         reference_steps, image_rate: For the optimization of a reference image.
+        reference_scale: Size of the images whose features are matched with references', relative to the view;
+            `feature_scale` is for making a reference.
         reference_weight: Weight of the squared error on the references' own rays and on registered rays.
+        reference_pixels: Maximum number of each of these per step.
         reference_feature_weights: Weights of the correspondence loss; `weights` are for making a reference.
         late: Final fraction of the style steps, which match renders with renders.
     """
 
     reference_steps: int = 60
     image_rate: float = 0.03
+    reference_scale: float = 0.5
     reference_weight: float = 1.0
+    reference_pixels: int = 50_000
     reference_feature_weights: StyleWeights = field(default_factory=lambda: StyleWeights(1.0, 0.1, 1.0, 5.0))
     late: float = 0.25
 

@@ -92,7 +92,8 @@ class Snerf(StyleMethod[SnerfSettings]):
         scene, s = self.scene, self.scene.settings
         generator = np.random.default_rng([scene.problem.seed, 5, scene.state.step])
         view = sorted(self.images)[int(generator.integers(len(self.images)))]
-        error = scene.learn_image(view, self.images[view].astype(np.float32) / 255, generator)
+        image, count = self.images[view].astype(np.float32) / 255, scene.settings.refit_pixels
+        error = scene.learn_image(view, image, generator, count)
         if error is None:
             return {"mse": 0.0}
         scene.adam.step(s.rate * s.final_rate**scene.budget.progress)

@@ -195,6 +195,7 @@ def test_a_frame_is_left_out_in_one_line_unless_it_is_to_be_kept(tmp_path):
         ({"method": "refnpr", "reference": ("0=x.png",), "stroke_by_depth": True}, "--stroke-by-depth has no effect"),
         ({"method": "refnpr", "reference": ("0=x.png",), "style_scale": 1.0}, "--style-scale has no effect"),
         ({"method": "refnpr", "reference": ("0=x.png",), "reference_steps": 9}, "no effect with --reference;"),
+        ({"method": "refnpr", "reference": ("0=x.png",), "coarse": 0.5}, "--coarse has no effect with --reference;"),
         ({"method": "refnpr", "style": "x", "reference_by": "adain", "image_rate": 0.1}, "with --reference-by adain"),
         (
             {"method": "refnpr", "reference": ("0=x.png",), "keep_frame": True},

@@ -46,6 +46,8 @@ def test_rays_follow_from_method_and_size_unless_requested(method, options, side
         ("arf", {"match_by": "nearest"}, True, 10.0, None, 0.0),
         ("arf", {"keep_colors": True}, True, 10.0, None, 0.5),
         ("desrf", {"coarse": 0.0, "color_weight": 4.0}, False, 4.0, 0.0, 0.0),
+        ("refnpr", {}, True, 1.0, None, 0.5),
+        ("refnpr", {"reference_by": "gram"}, True, 10.0, None, 0.0),
     ],
 )
 def test_what_holds_shapes_follows_from_method_and_scene_unless_requested(
@@ -118,6 +120,14 @@ def test_shapes_of_captures_learn_faster_than_those_of_objects():
 
 def test_smaller_views_slow_fewer_levels_of_the_colors():
     assert [settings_of(ArfConfig(style="x"), side, True).detail for side in (1024, 512, 256)] == [5.0, 5.0, 2.5]
+
+
+def test_references_are_matched_at_half_size_of_at_least_256_pixels():
+    made = {side: settings_of(CONFIGS["refnpr"](style="x"), side, True) for side in (200, 400, 512, 1024)}
+    assert [one.reference_scale for one in made.values()] == [1.0, 0.64, 0.5, 0.5]
+    assert [one.feature_scale for one in made.values()] == [1.0, 1.0, 1.0, 0.5]  # for making references
+    given = settings_of(CONFIGS["refnpr"](style="x", feature_scale=0.75), 512, True)
+    assert given.reference_scale == given.feature_scale == 0.75
 
 
 def test_broad_cells_are_slowed_where_features_are_transported():

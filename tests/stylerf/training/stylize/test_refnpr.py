@@ -35,7 +35,7 @@ ONLY_COLORS = StyleWeights(0, 0, 0, 0)
 
 def referenced(references: dict | None = None, region=None, apart: float = 0.2, **given) -> StylizationTrainer:
     """A solid cube, seen from three nearby places; view 1 is the reference. region: a part alone."""
-    options = {"match": "none", "reference_steps": 6, "strategy": "deferred", **given}
+    options = {"match": "none", "reference_steps": 6, "reference_scale": 1.0, "strategy": "deferred", **given}
     made = problem(settings(RefNprSettings, **options), apart=apart, raw=6.0, region=region)
     extractors = small_trunk(), small_trunk("conv2_2", 3)
     return trainer(lambda scene: RefNpr(scene, small_trunk(), references or {1: None}, *extractors), made)
@@ -152,6 +152,18 @@ def test_references_that_use_up_the_budget_leave_one_step_of_style(making):
     assert one.state.phase == "style" and one.scene.budget.progress == 0
     one.state.seconds += 0.5
     assert one.scene.budget.progress == 1.0
+
+
+@pytest.mark.parametrize("most", [16, 50_000])
+def test_a_step_learns_as_many_registered_pixels_as_of_the_reference_and_no_more_than_there_are(most):
+    picture, _ = true_colors(referenced(), 1)
+    one, learned = referenced({1: picture}, refit_steps=1, reference_pixels=most), []
+    learn = one.scene.learn_pixels
+    one.scene.learn_pixels = lambda view, *given: learned.append((view, len(given[0]))) or learn(view, *given)
+    one.method.style_step()
+    assert [view == 1 for view, _ in learned] == [True, False]
+    counts = [count for _, count in learned]
+    assert counts == [16, 16] if most == 16 else all(100 < count <= HEIGHT * WIDTH for count in counts)
 
 
 def test_the_last_quarter_matches_renders_with_the_references_render():

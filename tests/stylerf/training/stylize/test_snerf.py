@@ -147,7 +147,7 @@ def test_a_step_of_the_field_is_that_of_the_mean_squared_error():
     error = one.method.field_step()["mse"]
     other = alternating(match="none")
     other.scene.photos = [None, np.full((HEIGHT, WIDTH, 3), 0.2, np.float32)]
-    expected = other.scene.learn_image(1, other.scene.photos[1], _after_a_draw(0, 5, 3))
+    expected = other.scene.learn_image(1, other.scene.photos[1], _after_a_draw(0, 5, 3), 128)
     assert error == pytest.approx(expected, rel=1e-6)
     np.testing.assert_array_equal(found[0], other.scene.adam.gradients.sum(0, dtype=np.float64))
 
