@@ -95,8 +95,10 @@ def pareto_chart(report: dict) -> str:
                 rows = [row for row in rows if key in row["figures"] and row["costs"]["parameters"]]
                 places = [(row["costs"]["seconds"], row["figures"][key]) for row in rows]
                 front = pareto_front(*zip(*places), higher) if places else []
+                seconds = [place[0] for place in places]
                 for index, label in enumerate(unlike([row["name"] for row in rows])):
-                    _mark(one, rows[index], places[index], label, index in front)
+                    late = seconds[index] > (min(seconds) + max(seconds)) / 2  # the label might leave the chart
+                    _mark(one, rows[index], places[index], label, index in front, late)
                 if front:
                     places = [places[index] for index in front]
                     one.step(*zip(*places), where="post", color="#888888", linewidth=1)
@@ -168,17 +170,18 @@ def tensorf_chart(report: dict) -> str:
 
 
 def unlike(names: list[str]) -> list[str]:
-    """Return hyphenated names without the leading and trailing parts that all of them share."""
+    """Return hyphenated names without the parts that all of them share; each keeps at least one."""
     parts = [name.split("-") for name in names]
-    while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[0] for name in parts}) == 1:
-        parts = [name[1:] for name in parts]
-    while len(parts) > 1 and min(map(len, parts)) > 1 and len({name[-1] for name in parts}) == 1:
-        parts = [name[:-1] for name in parts]
+    for shared in list(parts[0]) if len(parts) > 1 else []:
+        if all(shared in name and len(name) > 1 for name in parts):
+            for name in parts:
+                name.remove(shared)
     return ["-".join(name) for name in parts]
 
 
-def _mark(axes, row: dict, place: tuple[float, float], label: str, filled: bool) -> None:
+def _mark(axes, row: dict, place: tuple[float, float], label: str, filled: bool, on_left: bool) -> None:
     color = "#0072b2" if row["family"] == "fits" else "#d55e00"
     area = 15 + row["costs"]["parameters"] / 1e5
     axes.scatter(*place, s=area, facecolors=color if filled else "none", edgecolors=color, alpha=0.8)
-    axes.annotate(label, place, xytext=(5, 3), textcoords="offset points", fontsize=6)
+    beside = {"xytext": (-5, 3), "ha": "right"} if on_left else {"xytext": (5, 3)}
+    axes.annotate(label, place, textcoords="offset points", fontsize=6, **beside)

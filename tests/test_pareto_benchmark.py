@@ -70,5 +70,6 @@ def test_a_fault_of_a_command_is_reported_in_its_own_words(tmp_path):
 
 def test_labels_of_the_chart_leave_out_what_all_share():
     assert charts.unlike(["arf-patch-40s-of-grow", "desrf-auto-40s-of-grow"]) == ["arf-patch", "desrf-auto"]
+    assert charts.unlike(["arf-auto-15s-of-grow", "desrf-auto-40s-of-grow"]) == ["arf-15s", "desrf-40s"]
     assert charts.unlike(["fit-grow-60s", "fit-fixed128x8x16-60s"]) == ["grow", "fixed128x8x16"]
     assert charts.unlike(["fit-a", "fit-a-b"]) == ["a", "a-b"] and charts.unlike(["fit-60s"]) == ["fit-60s"]
